@@ -47,7 +47,7 @@ double clock_seconds(clockid_t clock) {
 }
 
 struct Options {
-  std::string elf, world, link, port, control, eeprom;
+  std::string elf, world, link, port, control, eeprom, bootloader;
   bool still = false;
   unsigned baud = 115200;
 };
@@ -59,6 +59,7 @@ const char kUsage[] =
     "  --control PATH  Unix socket of the control channel\n"
     "  --eeprom FILE   keep the EEPROM in FILE\n"
     "  --still         nothing in the world moves by itself\n"
+    "  --bootloader HEX  run this bootloader first after each reset, as a real Nano does\n"
     "  --baud N        speed of the wire towards the board (115200)\n"
     "Arguments like __name:=x, which roslaunch adds, are ignored.\n";
 
@@ -81,6 +82,8 @@ Options parse(int argc, char** argv) {
       options.control = value();
     } else if (argument == "--eeprom") {
       options.eeprom = value();
+    } else if (argument == "--bootloader") {
+      options.bootloader = value();
     } else if (argument == "--still") {
       options.still = true;
     } else if (argument == "--baud") {
@@ -146,7 +149,7 @@ class EepromFile {
 class Board {
  public:
   explicit Board(const Options& options)
-      : mcu_(options.elf, options.baud),
+      : mcu_(options.elf, options.baud, options.bootloader),
         eeprom_(options.eeprom, mcu_),
         world_(make_world(options, mcu_)),
         serial_(options.port.empty() ? SerialEnd::make_pty(options.link) : SerialEnd::use_port(options.port)) {

@@ -23,7 +23,9 @@
 #include "mcu.h"
 
 #include <cmath>
+#include <cstdio>
 #include <cstring>
+#include <fstream>
 #include <stdexcept>
 
 extern "C" {
@@ -72,7 +74,7 @@ void log_errors(avr_t*, const int level, const char* format, va_list arguments) 
 
 }  // namespace
 
-Mcu::Mcu(const std::string& elf, unsigned baud) : cycles_per_wire_byte_(10.0 * kFrequency / baud) {
+Mcu::Mcu(const std::string& elf, unsigned baud, const std::string& bootloader) : cycles_per_wire_byte_(10.0 * kFrequency / baud) {
   avr_global_logger_set(log_errors);
   elf_firmware_t firmware;
   memset(&firmware, 0, sizeof firmware);
@@ -87,6 +89,7 @@ Mcu::Mcu(const std::string& elf, unsigned baud) : cycles_per_wire_byte_(10.0 * k
   firmware.frequency = kFrequency;
   firmware.vcc = firmware.avcc = firmware.aref = uint32_t(kVcc * 1000);
   avr_load_firmware(avr_, &firmware);
+  if (!bootloader.empty()) load_bootloader(bootloader);
   avr_->sleep = keep_pace_elsewhere;
   run_ = avr_->run;
 
@@ -127,6 +130,22 @@ Mcu::Mcu(const std::string& elf, unsigned baud) : cycles_per_wire_byte_(10.0 * k
       [](avr_irq_t*, uint32_t value, void* self) { static_cast<Mcu*>(self)->adc_trigger(value); }, this);
   start_timers();
   i2c_lines_changed();
+}
+
+// simavr's own reader stops at records of type 3, which every bootloader of Arduino has.
+void Mcu::load_bootloader(const std::string& path) {
+  std::ifstream file(path);
+  std::string line;
+  while (std::getline(file, line)) {
+    unsigned size, address, type, byte;
+    if (sscanf(line.c_str(), ":%2x%4x%2x", &size, &address, &type) != 3 || type != 0) continue;
+    if (avr_->reset_pc == 0) avr_->pc = avr_->reset_pc = address;
+    for (unsigned i = 0; i < size && sscanf(line.c_str() + 9 + 2 * i, "%2x", &byte) == 1; ++i) {
+      avr_->flash[(address + i) & avr_->flashend] = uint8_t(byte);
+    }
+  }
+  if (avr_->reset_pc == 0) throw std::runtime_error("cannot load the bootloader " + path);
+  avr_->codeend = avr_->flashend;
 }
 
 Mcu::~Mcu() { avr_terminate(avr_); }
@@ -224,6 +243,11 @@ void Mcu::power_cycle() {
 void Mcu::dtr() {
   dtr_due_ = false;
   reset();
+  if (avr_->reset_pc != 0) {
+    avr_regbit_clear(avr_, avr_->reset_flags.porf);
+    avr_regbit_set(avr_, avr_->reset_flags.extrf);  // without it a bootloader starts the program at once
+    return;
+  }
   boot_end_ = avr_->cycle + uint64_t(kBootSeconds * kFrequency);
 }
 

@@ -29,8 +29,9 @@ class I2cDevice {
 
 class Mcu {
  public:
-  // Throws std::runtime_error when the ELF cannot be loaded.
-  Mcu(const std::string& elf, unsigned baud);
+  // bootloader: a file in Intel HEX that runs first after each reset; empty: none.
+  // Throws std::runtime_error when a file cannot be loaded.
+  Mcu(const std::string& elf, unsigned baud, const std::string& bootloader = "");
   ~Mcu();
   Mcu(const Mcu&) = delete;
 
@@ -46,7 +47,8 @@ class Mcu {
   void power_cycle();
   // A reset as soon as the byte at this data address has another value.
   void reset_on_change(uint16_t address);
-  // As when the port of a real Nano is opened: a reset, then a second in the bootloader with all pins floating.
+  // As when the port of a real Nano is opened: a reset, then a second in the bootloader with all pins floating;
+  // the bootloader if there is one.
   void dtr();
   // dtr() as soon as an I2C device is sending.
   void dtr_in_read() { dtr_in_read_ = true; }
@@ -114,6 +116,7 @@ class Mcu {
     uint8_t levels = 0;
   };
 
+  void load_bootloader(const std::string& path);
   void apply_driven_pins(char port, const DrivenPins& pins);
   bool pull_up(char port, int bit) const;
   void after_cpu_reset();

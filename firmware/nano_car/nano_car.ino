@@ -209,6 +209,7 @@ void loop() {
   uint8_t ticks;
   const uint8_t beats = drive_take_beats(&ticks);
   if (beats > 0) {
+    bridge.time(micros());
     bridge.send_ticks(ticks);
     bridge.send_steering_angle(analogRead(kSteeringFeedbackPin));
     update_imu(beats);

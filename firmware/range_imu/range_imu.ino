@@ -70,6 +70,7 @@ void loop() {
   // After the slow start of a sensor the next frames are due from now on, without a burst.
   if (now - frame_ms >= kFramePeriodMs) {
     frame_ms = now - frame_ms >= 2 * kFramePeriodMs ? now : frame_ms + kFramePeriodMs;
+    bridge.time(micros());
     update_range(0, now);
     update_range(1, now);
     update_attitude();

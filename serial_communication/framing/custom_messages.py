@@ -7,11 +7,11 @@ and topics stay text here; `ros` resolves them.
 import difflib
 import re
 from math import inf, isnan
-from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Pattern, Sequence,
-                    Tuple, Type)
+from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Pattern,
+                    Sequence, Tuple, Type)
 
-from .layout import (Layout, LayoutMessage, Value, brief, count_values, message_class,
-                     readable)
+from .layout import (BOARD_TIME, Layout, LayoutMessage, Value, brief, count_values,
+                     message_class, readable)
 
 FROM_BOARD, TO_BOARD = 'from_board', 'to_board'
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
@@ -20,6 +20,8 @@ _PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
 ROS_TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*')
 LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum', 'invalid')
 _MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id', 'constants') + LAYOUT_KEYS
+# Types from this one on have a meaning of their own on every link: settings, time, announcements.
+RESERVED = 253
 _HUGE = 2 ** 64     # greater than any raw number
 
 
@@ -102,7 +104,7 @@ def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
         if direction == TO_BOARD:
             row.refuse_unused(['constants', 'invalid'], 'direction: to_board')
         ros_type = row.text('ros_type', ROS_TYPE, 'a message type, as std_msgs/Float32')
-        kind = message_class(name, type_, *row.layout(longest))
+        kind = message_class(name, type_, *row.layout(longest, direction == FROM_BOARD))
         messages.append(CustomMessage(name, row.key, kind, direction == TO_BOARD, ros_type,
                                       row.text('frame_id', None, 'text', ''), row.constants()))
     return messages
@@ -187,12 +189,16 @@ class Row:
         if value in names:
             raise self._error(key, f'is already the {key} of {names[value]}')
 
-    def layout(self, longest: int) -> Tuple[str, List[Value]]:
-        """The format and its values, by the keys `LAYOUT_KEYS`; at most `longest` bytes of data."""
+    def layout(self, longest: int, may_be_timed: bool = False) -> Tuple[str, List[Value]]:
+        """The format and its values, by the keys `LAYOUT_KEYS`; at most `longest` bytes of data.
+
+        One value may be the board's time, `BOARD_TIME`, if `may_be_timed`.
+        """
         layout = self.text('layout', None, 'a format of Python\'s struct, as <hB')
         paths = self.given.get('fields')
         if type(paths) is not list or not all(
-                type(path) is str and _PATH.fullmatch(path) for path in paths):
+                type(path) is str and (path == BOARD_TIME or _PATH.fullmatch(path))
+                for path in paths):
             raise self._error('fields', 'may be a list with the path of a field for each value, '
                               'as [vector.x, "", position[2]]')
         try:
@@ -208,12 +214,18 @@ class Row:
         for path in paths:
             if path and paths.count(path) > 1:
                 raise self._error('fields', f'may have {path} once')
+        if BOARD_TIME in paths and not may_be_timed:
+            raise self._error('fields', f'may have {BOARD_TIME} in a message from the board')
         scales = self._each('scale', count, 1, lambda n: abs(n) < inf and n != 0, 'a number but 0')
         offsets = self._each('offset', count, 0, lambda n: abs(n) < inf)
         minima, maxima = self._each('minimum', count, -inf), self._each('maximum', count, inf)
         values = Layout(layout, [
+            Value(path, 'us') if path == BOARD_TIME else
             Value(path, '', scale, offset, minimum, maximum) for path, scale, offset, minimum,
             maximum in zip(paths, scales, offsets, minima, maxima)]).values
+        if any(value.name == BOARD_TIME and (value.code != 'I' or value.kind != 'number')
+               for value in values):
+            raise self._error('fields', f'may have {BOARD_TIME} at an I of the layout')
         self._check_limits(values)
         return layout, self._with_invalid(values)
 
@@ -243,7 +255,8 @@ class Row:
                 _is_number(number) or number == '' and type(given) is list for number in numbers):
             raise self._error('invalid', f'may be a number, or a list of {len(values)} with a '
                               'number or an empty text for each value')
-        fits = [number == '' or value.holds(number) for number, value in zip(numbers, values)]
+        fits = [number == '' or value.name != BOARD_TIME and value.holds(number)
+                for number, value in zip(numbers, values)]
         if not self._enough('invalid', fits):
             code = values[fits.index(False)].code if values else ''
             raise self._error('invalid', 'may be a raw number that its place '
@@ -253,7 +266,8 @@ class Row:
 
     def _check_limits(self, values: Sequence[Value]) -> None:
         """Refuse a limit that no raw number reaches, and a minimum above its maximum."""
-        limited = [value for value in values if value.name and value.kind != 'text']
+        limited = [value for value in values
+                   if value.name not in ('', BOARD_TIME) and value.kind != 'text']
         for key in ('minimum', 'maximum'):
             fits = [value.range[0] <= getattr(value, key) <= value.range[1]
                     or abs(getattr(value, key)) == inf for value in limited]

@@ -22,6 +22,8 @@ for _code, _bits in zip('bhilq', (8, 16, 32, 32, 64)):
     _RANGES[_code] = -2 ** (_bits - 1), 2 ** (_bits - 1) - 1
     _RANGES[_code.upper()] = 0, 2 ** _bits - 1
 
+BOARD_TIME = '@time'          # the name of the value that is the board's time: see `Frame.ticks`
+
 # The value of a raw number that means "no value": a NaN, told from others by its identity.
 NO_VALUE = float('nan')
 
@@ -351,6 +353,7 @@ class LayoutMessage(tuple):
     LABEL: str
     LAYOUT: Layout
     ANNOUNCED = False      # the board announces this message itself
+    TICKS_AT: Optional[int] = None     # index of its value `BOARD_TIME`; None: it has none
 
     @classmethod
     def unpack(cls, data: bytes) -> Any:
@@ -382,11 +385,13 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
         label: the message's name for people; `name` if empty.
     """
     # Not `name`, which may be a keyword of Python.
+    names = [value.name for value in values]
     fields = namedtuple(  # type: ignore[misc]  # mypy wants the names in the source
-        'Values', [value.name for value in values], rename=True)
+        'Values', names, rename=True)
     return type(name, (LayoutMessage, fields), {
         '__slots__': (), '__doc__': doc, 'TYPE': type_, 'LABEL': label or name,
-        'LAYOUT': Layout(layout, values)})
+        'LAYOUT': Layout(layout, values),
+        'TICKS_AT': names.index(BOARD_TIME) if BOARD_TIME in names else None})
 
 
 def by_type(*kinds: Any) -> Dict[int, Any]:

@@ -14,7 +14,7 @@ from bisect import bisect_left
 from collections import deque
 from copy import copy
 from functools import partial
-from typing import Any, Callable, Deque, Dict, List, NamedTuple, Protocol, Tuple, Union
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Protocol, Tuple, Union
 
 from .parts import Part, Parts
 
@@ -39,6 +39,8 @@ class Frame(NamedTuple):
     stamp: Any = None   # the stamp that `feed` got with the frame's last byte
     cause: str = ''     # one of the causes above; empty: the frame is valid
     error: str = ''     # the cause in words
+    ticks: Optional[int] = None    # the board's time of measurement, µs modulo 2 ** 32
+    behind: int = 0     # bytes of the same read behind its end; 0 if it is invalid
 
     @property
     def text(self) -> str:
@@ -60,10 +62,15 @@ frame_of: Callable[[Tuple], Frame] = partial(
     tuple.__new__, Frame)    # type: ignore[assignment]  # mypy does not see that it is a Frame
 
 
+def stamped(frame: Frame, stamp: Any) -> Frame:
+    """The frame with another stamp; in half the time of `_replace`."""
+    return frame_of((*frame[:5], stamp, *frame[6:]))
+
+
 def invalid_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: int = 0,
                   data: bytes = b'') -> Frame:
     """A `Frame` for an invalid frame or noise, with the first `MAX_REPORTED` bytes of `raw`."""
-    return frame_of((raw[:MAX_REPORTED], type_, 0, data, None, stamp, cause, error))
+    return frame_of((raw[:MAX_REPORTED], type_, 0, data, None, stamp, cause, error, None, 0))
 
 
 class Decoder(Protocol):
@@ -138,6 +145,7 @@ class Good(NamedTuple):
     message: Any         # None: of an unknown type, or refused
     cause: str = ''      # why the message of this valid frame is refused; '': it is not
     error: str = ''
+    ticks: Optional[int] = None
 
 
 class Bad(NamedTuple):
@@ -301,15 +309,16 @@ class StreamDecoder:
         """Add the valid frame that begins at `start`."""
         if self._noise or self._classified < self.front + start:
             self._end_noise(start)
-        size, type_, command, data, message, cause, error = found
+        size, type_, command, data, message, cause, error, ticks = found
         end = start + size
         if cause:
             self.errors[cause] += 1
         elif message is None and self.counts_unknown:
             self.errors[UNKNOWN] += 1
+        stamp, read_end = self._read_of(end)
         self._frames.append(frame_of((
-            self.buffer[start:end], type_, command, data, message, self._stamp_of(end), cause,
-            error)))
+            self.buffer[start:end], type_, command, data, message, stamp, cause, error, ticks,
+            read_end - self.front - end)))
         self._classified = self.front + end
 
     def _add_bad(self, start: int, bad: Bad) -> None:
@@ -318,7 +327,7 @@ class StreamDecoder:
         end = start + bad.size
         self.errors[bad.cause] += 1
         self._frames.append(invalid_frame(self.buffer[start:end], bad.cause, bad.error,
-                                          self._stamp_of(end)))
+                                          self._read_of(end)[0]))
         self._classified = self.front + end
 
     def _add_noise(self, end: int) -> None:
@@ -327,7 +336,7 @@ class StreamDecoder:
         if first >= end:
             return
         self._noise += self.buffer[first:end]
-        self._noise_stamp = self._stamp_of(end)
+        self._noise_stamp = self._read_of(end)[0]
         self._classified = self.front + end
         if len(self._noise) >= MAX_REPORTED:
             whole = len(self._noise) // MAX_REPORTED * MAX_REPORTED
@@ -349,10 +358,12 @@ class StreamDecoder:
             noise, FRAMING, f'{size} bytes that are no frame' if size > 1
             else '1 byte that is no frame', self._noise_stamp))
 
-    def _stamp_of(self, end: int) -> Any:
-        """The stamp of the read that had the last byte before `end`."""
+    def _read_of(self, end: int) -> Tuple[Any, int]:
+        """The read that had the last byte before `end`: its stamp, and the bytes received by
+        then."""
         reads, end = self._reads, self.front + end
         if not reads or reads[-1][0] < end:
-            return self._stamp
+            return self._stamp, self.received
         # No read is dropped here: a later frame, inside a false one, may end in an earlier read.
-        return reads[bisect_left(reads, (end,))][1]
+        received, stamp = reads[bisect_left(reads, (end,))]
+        return stamp, received

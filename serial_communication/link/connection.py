@@ -11,6 +11,7 @@ from ..transport.opener import Opener
 from ..transport.port import PortError
 from .presence import SILENCE
 from .stall import LONGEST_SLEEP, STALL, StallWatch
+from .stamps import Read
 
 if TYPE_CHECKING:
     from .link import Link
@@ -60,7 +61,6 @@ class Connection:
 
     def stop(self) -> None:
         self._opener.end()
-        self._port.wake()
 
     def join(self, timeout: float) -> None:
         if self._thread.is_alive():
@@ -126,6 +126,7 @@ class Connection:
         self.stalls.stalled_for(awake_at)
         self.stalls.awake_at = awake_at
         due = self.guarded(self._link.idle, now)
+        self._link.lending.step()
         soon = now + LONGEST_SLEEP
         return soon if due is None else min(due, soon)
 
@@ -166,6 +167,7 @@ class Connection:
             if not data or self._is_woken or now >= tick_at:
                 self._is_woken = False
                 due = link.tick(now)
+                link.lending.step()
                 tick_at = now + LONGEST_SLEEP if due is None else min(due, now + LONGEST_SLEEP)
 
     def _begin(self) -> float:
@@ -176,6 +178,7 @@ class Connection:
         self.number += 1
         link.log.info('opened', f'{self._port.url}: open')
         link.decoder.reset()
+        link.stamps.reset()
         link.unknown_bytes.opened()
         self._timer.reset()
         now = time.monotonic()
@@ -199,7 +202,7 @@ class Connection:
         link = self._link
         if data:
             self.last_byte_at = now
-        frames = link.decoder.feed(data, stamp) if data else []
+        frames = link.decoder.feed(data, Read(stamp, now)) if data else []
         if link.decoder.pending:
             frames += self._timer.overdue(self.last_byte_at, now)
         self.state = PortState.RECEIVING if data or frames else PortState.DRAINED
@@ -222,6 +225,7 @@ class Connection:
             self.state = PortState.DROPPING
             self._stalled_for += seconds
             link.decoder.reset()
+            link.stamps.reset()
             link.stalled(seconds, now)
         elif self.state is PortState.DROPPING and not self.stalls.has_just_stalled(awake_at):
             if self._dropped:

@@ -1,15 +1,18 @@
 """The base of every link: what the frames of one board mean, and what is due."""
 import logging
+import operator
 import time
 from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
 
-from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame
+from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame, stamped
 from ..transport.port import Port, PortError
 from .announcement import BoardAnnouncement
 from .connection import Connection
+from .lending import Lending
 from .outcome import Refused  # noqa: F401  for the boards
 from .presence import SILENCE, STARTUP_TIME, PresenceLog
 from .sparing_log import SparingLog
+from .stamps import Stamps
 from .unknown_bytes import OtherBoard, UnknownBytes
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
@@ -36,6 +39,8 @@ class Link:
         frame_timeout: s without a byte after which an incomplete frame is given up.
         clock: returns the stamp of each read; it is used for nothing else.
         other_boards: to be recognised if their frames are received instead of this board's.
+        earlier: returns the stamp so many seconds before one of `clock`.
+        board_time: whether a frame with the board's time has the stamp of its measurement.
     """
 
     STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
@@ -49,7 +54,9 @@ class Link:
     def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
                  logger: Optional[logging.Logger] = None,
-                 other_boards: Iterable[OtherBoard] = ()) -> None:
+                 other_boards: Iterable[OtherBoard] = (),
+                 earlier: Callable[[Any, float], Any] = operator.sub,
+                 board_time: bool = True) -> None:
         self.name = name
         self.port = port
         self.decoder = decoder
@@ -61,7 +68,9 @@ class Link:
         self.announcement = BoardAnnouncement(self.log)
         self.unknown_bytes = UnknownBytes(
             (other for other in other_boards if other.name != name), port.baud, self.PRINT_TO)
+        self.stamps = Stamps(port, earlier, self.log, board_time)
         self.connection = Connection(self, frame_timeout, clock)
+        self.lending = Lending(port, self.connection.wake, self.connection.may_be_from_a_stall)
         self._clock = clock
         self._presence = PresenceLog(self.log)
         self._reported_errors = 0
@@ -186,6 +195,7 @@ class Link:
              if self.last_frame_at is not None else 'never'),
             *sorted((cause + ' errors', count) for cause, count in counted.items()),
             *self.extra_values(),
+            *self.stamps.values(),
         ]
         announcement = self.announcement
         if announcement.rows is not None:
@@ -196,6 +206,9 @@ class Link:
 
     def condition(self, now: float) -> Tuple[int, str]:
         """Level and summary, without regard to new errors."""
+        loan = self.port.loan
+        if loan and loan.runs:
+            return WARN, str(loan)
         if not self.port.is_open:
             return ERROR, f'closed: {self.connection.trouble}'
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
@@ -229,8 +242,9 @@ class Link:
                                   now)
 
     def deliver(self, frame: Frame, now: float) -> None:
-        """Count, log and pass on one frame, valid or not."""
-        tap = self.tap
+        """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
+        tap, read = self.tap, frame.stamp
+        frame = stamped(frame, read.stamp)
         shown = self.shown(frame) if tap else frame
         printed = '' if frame.message is not None else self.unknown_bytes.add(frame, now)
         if printed:
@@ -244,6 +258,6 @@ class Link:
             self.last_frame_at = now
             if frame.message is not None:     # another board's bytes may be an unknown frame
                 self.unknown_bytes.understood_at = now
-            self.received(frame, now)
+            self.received(self.stamps.measured(frame, read), now)
         if tap:
             self.connection.guarded(tap, self.name, RX, shown)

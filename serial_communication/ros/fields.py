@@ -15,7 +15,7 @@ from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, S
 import roslib.message
 
 from ..framing.custom_messages import RowError
-from ..framing.layout import FRACTIONS, NO_VALUE, Layout, Value
+from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
 
 _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
           'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
@@ -80,7 +80,8 @@ class RosFields:
 
     Args:
         message_class: the ROS message type.
-        layout: each value's name is its path; a value without a name is left out.
+        layout: each value's name is its path; a value without a name is left out, and so is
+            `BOARD_TIME`, which needs a type with a header.
         key: the parameter with the paths, for errors.
         constants: values by path; every message from `new` has them.
         constants_key: their parameter, for errors.
@@ -93,7 +94,11 @@ class RosFields:
                  constants: Optional[Dict[str, Any]] = None, constants_key: str = '') -> None:
         self._class = message_class
         self._arrays: List[Tuple[Tuple, int, Any]] = []    # path, length and element in a message
-        self._places = [self._resolve(key, value) if value.name else None
+        if any(value.name == BOARD_TIME for value in layout.values) \
+                and not message_class._has_header:
+            raise RowError(key, BOARD_TIME, f'needs a type with a header, {message_class._type} '
+                           'has none')
+        self._places = [self._resolve(key, value) if value.name not in ('', BOARD_TIME) else None
                         for value in layout.values]
         places = {value.name: place for value, place in zip(layout.values, self._places) if place}
         _refuse_shared(key, places)

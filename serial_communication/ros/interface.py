@@ -1,5 +1,6 @@
 """The interface between the node and a board."""
 import logging
+import operator
 from abc import ABC, abstractmethod
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -16,6 +17,8 @@ class LinkOptions(NamedTuple):
     clock: Callable[[], Any]       # returns the rospy.Time that stamps a read
     logger: logging.Logger
     other_boards: Sequence[OtherBoard] = ()
+    # Returns the stamp so many seconds before a stamp of `clock`.
+    earlier: Callable[[Any, float], Any] = operator.sub
 
 
 class Interface(ABC):

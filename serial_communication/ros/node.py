@@ -9,6 +9,9 @@ from functools import partial
 from typing import Any, Iterator, List, Type
 
 import rospy
+from std_srvs.srv import Trigger, TriggerResponse
+
+from serial_communication.srv import Release, ReleaseResponse
 
 from ..boards import BOARDS, description, reason
 from ..link.link import Link
@@ -150,6 +153,18 @@ def _recognisable(p: dict, given: dict) -> List[OtherBoard]:
             for board in map(description, (*BOARDS, *given.get('boards', ())))]
 
 
+def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
+    """Return the time so many seconds before `stamp`; ROS has none before 0."""
+    return rospy.Time(0, max(stamp.to_nsec() - round(seconds * 1e9), 0))
+
+
+def _offer_lending(link: Link) -> None:
+    rospy.Service(f'~{link.name}/release', Release, lambda request: ReleaseResponse(
+        *link.lending.lend(request.by, request.seconds)))
+    rospy.Service(f'~{link.name}/reset', Trigger, lambda _: TriggerResponse(
+        *link.lending.reset()))
+
+
 class Bridge:
     """All links that have a port, with their diagnostics, transforms and serial_msg.
 
@@ -160,7 +175,7 @@ class Bridge:
 
     def __init__(self, p: dict, given: dict) -> None:
         link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER,
-                                   _recognisable(p, given))
+                                   _recognisable(p, given), _earlier)
         boards = [(board, values) for board, values in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
         self._interfaces, self._links = [], []
@@ -169,6 +184,7 @@ class Bridge:
                 interface = board(values, link_options)
                 if not isinstance(interface.link, Link):
                     raise TypeError(f'its link is {interface.link!r}, must be a Link')
+                interface.link.lending.line = values['reset_line']
                 self._interfaces.append(interface)
                 self._links.append(interface.link)
         if not self._links:
@@ -203,6 +219,7 @@ class Bridge:
         for interface in self._interfaces:
             with _errors_naming(type(interface)):
                 interface.advertise()
+                _offer_lending(interface.link)
         self._announcements.start()
         self._diagnostics.start()
 

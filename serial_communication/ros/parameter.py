@@ -105,4 +105,5 @@ def baud(board: Description) -> Parameter:
     return Parameter(board.baud, *BAUD_RANGE, unit='baud')
 
 
+RESET_LINE = Parameter('', choices=('', 'dtr', 'rts'))    # empty: no line resets the board
 MOUNT = Parameter([0.0] * 6, unit='x y z in m, roll pitch yaw in rad, in base_frame_id')

@@ -14,7 +14,8 @@ from ..framing.layout import brief, readable
 from ..transport.urls import identity
 from .external_boards import board_interfaces
 from .interface import Interface
-from .parameter import Parameter, ParameterError, Parameters, frame_id, not_empty, seconds
+from .parameter import (RESET_LINE, Parameter, ParameterError, Parameters, frame_id, not_empty,
+                        seconds)
 
 
 NODE_PARAMETERS: Parameters = {
@@ -32,7 +33,12 @@ def table(interfaces: List[Type[Interface]]) -> Parameters:
     """Return all parameters by full name; a board's are in a group with the board's name."""
     return {**NODE_PARAMETERS, **{f'{interface.NAME}/{name}': parameter
                                   for interface in interfaces
-                                  for name, parameter in interface.PARAMETERS.items()}}
+                                  for name, parameter in _of_interface(interface).items()}}
+
+
+def _of_interface(interface: Type[Interface]) -> Parameters:
+    """Its parameters, and the one that every board has."""
+    return {'reset_line': RESET_LINE, **interface.PARAMETERS}
 
 
 PARAMETERS = table(BUILT_IN)
@@ -77,7 +83,7 @@ def announcing(interfaces: List[Type[Interface]]) -> List[Type[Interface]]:
 
 def of_board(interface: Type[Interface], values: Dict[str, Any]) -> Dict[str, Any]:
     """Return the values for an interface: the board's without their group, and the node's."""
-    own = {name: values[f'{interface.NAME}/{name}'] for name in interface.PARAMETERS}
+    own = {name: values[f'{interface.NAME}/{name}'] for name in _of_interface(interface)}
     return {**{name: values[name] for name in NODE_PARAMETERS}, **own}
 
 

@@ -41,6 +41,7 @@ class Board:
     SUMMARY = ''                         # one line for --help
     FAULTS = ''                          # the faults of ``--fault all``: see faults.py
     READS = True                         # False: it only sends
+    HAS_CLOCK = False                    # True: it can send its time
     MEASURES_PACE = False                # True: it needs to be woken in time, as for heartbeats
     CHATTER = b''                        # bytes that it sends at a reset
     DELIMITER: Optional[bytes] = None    # byte that a decoder needs before a frame; None: nothing
@@ -144,7 +145,6 @@ class Runner:
     def stop(self) -> None:
         """Make `run` return soon; to be called from another thread."""
         self._opener.end()
-        self.port.wake()
 
     def run(self) -> None:
         """Run the board in this thread."""

@@ -195,6 +195,9 @@ def _add(boards: Any, name: str, described: Description) -> None:
     parser.add_argument('--faults', default='', metavar="'KIND=RATE …'",
                         help='several faults for boards of any kind; those that this board cannot '
                              'have are left out')
+    for kind, unit in ('drift', 'PPM'), ('batch', 'MS'):
+        parser.add_argument('--' + kind, type=(kind + '={}').format, action='append', dest='fault',
+                            metavar=unit, help=f'the same as --fault {kind}={unit}')
     parser.add_argument('--seed', type=int, metavar='N',
                         help='of faults and noise; the same seed repeats a run')
     parser.add_argument('--journal', metavar='FILE',

@@ -9,9 +9,9 @@ from typing import Any, Iterable, List, Mapping, Optional, Tuple
 
 from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
-from ..framing.announcement import chunks_of, write_announcement
+from ..framing.announcement import Chunk, chunks_of, write_announcement
 from ..framing.custom_messages import CustomMessage
-from ..framing.layout import FRACTIONS, NO_VALUE, Layout, Value
+from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
 from ..transport.pace import Every
 
 PERIOD = 0.1      # s between two messages of a kind
@@ -101,22 +101,27 @@ class CustomMessagePlayer:
         times = [self._beat.due] * bool(self._kinds) + [self._chunk_due] * bool(self._chunks)
         return min(times, default=None)
 
-    def messages(self, now: float) -> List[Any]:
-        """The messages to send now."""
-        found: List[Any] = []
-        if self._kinds and self._beat.passed(now):
-            found = [kind(*simulated_values(kind.LAYOUT, now)) for kind in self._kinds]
-        if self._chunks and now >= self._chunk_due:
-            found.append(self._chunks[self._next])
-            self._next = (self._next + 1) % len(self._chunks)
-            self._often = max(0, self._often - 1)
-            self._chunk_due = now + (_OFTEN if self._often else _SELDOM)
-        return found
+    def messages(self, now: float, micros: int) -> List[Any]:
+        """The messages to send now, when the board's clock is at `micros`."""
+        if not (self._kinds and self._beat.passed(now)):
+            return []
+        return [kind(*simulated_values(kind.LAYOUT, now, micros)) for kind in self._kinds]
+
+    def chunks(self, now: float) -> List[Chunk]:
+        """The chunk to send now, if there is one."""
+        if not self._chunks or now < self._chunk_due:
+            return []
+        chunk = self._chunks[self._next]
+        self._next = (self._next + 1) % len(self._chunks)
+        self._often = max(0, self._often - 1)
+        self._chunk_due = now + (_OFTEN if self._often else _SELDOM)
+        return [chunk]
 
 
-def simulated_values(layout: Layout, now: float) -> Tuple:
+def simulated_values(layout: Layout, now: float, micros: int = 0) -> Tuple:
     """Values within their limits, which depend on the time; an array has 4 numbers."""
-    return tuple(_text(value, now) if value.kind == 'text'
+    return tuple(micros if value.name == BOARD_TIME
+                 else _text(value, now) if value.kind == 'text'
                  else _number(value, index, now) if value.kind == 'number'
                  else tuple(_number(value, index, now + element) for element in range(4))
                  for index, value in enumerate(layout.values))

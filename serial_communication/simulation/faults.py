@@ -3,6 +3,7 @@
 A fault is written KIND=RATE[:SECONDS]. RATE is a probability for each frame (0.01) or a number
 of events per minute (2/min). SECONDS, for the kinds with a duration, is a number or a range
 (0.5-2). ``all`` stands for the board's default mix; a later KIND=RATE changes one of its kinds.
+Two kinds are a number instead, in force all the time: drift=PPM and batch=MS.
 
 In two runs with the same seed the n-th frame has the same faults: each kind has its own random
 numbers, and uses the same number of them for each frame. At most one kind changes a frame (the
@@ -12,13 +13,13 @@ import re
 from random import Random
 from typing import Dict, Iterable, List, NamedTuple, Optional, Protocol, Tuple
 
-SENT, RECEIVED, EVENT = 'sent', 'received', 'event'
+SENT, RECEIVED, EVENT, ALWAYS = 'sent', 'received', 'event', 'always'
 
 
 class Kind(NamedTuple):
     """One kind of fault."""
 
-    where: str                                     # SENT, RECEIVED or EVENT
+    where: str                                     # SENT, RECEIVED, EVENT or ALWAYS
     text: str                                      # what it does, for --help
     seconds: Optional[Tuple[float, float]] = None  # default duration; None: it has no duration
 
@@ -40,9 +41,12 @@ KINDS: Dict[str, Kind] = {
     'silence': Kind(EVENT, 'nothing that the board sends gets out', (0.5, 2.0)),
     'stall': Kind(EVENT, 'the board reads nothing, and the buffers fill up', (0.3, 2.0)),
     'reset': Kind(EVENT, 'the board sends noise, restarts and loses its memory', (0.3, 1.0)),
+    'drift': Kind(ALWAYS, 'the board sends its time; its clock is so many ppm too fast'),
+    'batch': Kind(ALWAYS, 'an adapter delivers what the board sends only every so many ms'),
 }
+_MOST = {'drift': (9999, 'ppm'), 'batch': (1000, 'ms')}     # the greatest number, and its unit
 
-_RATE = re.compile(r'([a-z-]+)=(\d*\.?\d+)(/min)?(?::(\d*\.?\d+)(?:-(\d*\.?\d+))?)?$')
+_RATE = re.compile(r'([a-z-]+)=(-?\d*\.?\d+)(/min)?(?::(\d*\.?\d+)(?:-(\d*\.?\d+))?)?$')
 
 
 class Rate(NamedTuple):
@@ -51,8 +55,11 @@ class Rate(NamedTuple):
     probability: float               # for each frame or read, 0 … 1
     per_minute: float
     seconds: Tuple[float, float]     # the shortest and the longest duration
+    number: Optional[float] = None   # of a kind that is in force ALWAYS
 
     def __str__(self) -> str:
+        if self.number is not None:
+            return f'{self.number:g}'
         often = f'{self.per_minute:g}/min' if self.per_minute else f'{self.probability:g}'
         if self.seconds == (0.0, 0.0):
             return often
@@ -65,6 +72,7 @@ class Target(Protocol):
     NAME: str
     FAULTS: str    # the faults of ``all``
     READS: bool    # False: it never reads, so nothing that it receives can be changed
+    HAS_CLOCK: bool    # False: it never sends its time
 
 
 def parse(texts: Iterable[str], board: Target) -> Dict[str, Rate]:
@@ -77,7 +85,7 @@ def parse(texts: Iterable[str], board: Target) -> Dict[str, Rate]:
     for text in texts:
         for part in (board.FAULTS.split() if text == 'all' else [text]):
             kind, rate = _parse_one(part, board)
-            if rate.probability or rate.per_minute:
+            if rate.probability or rate.per_minute or rate.number is not None:
                 rates[kind] = rate
             else:
                 rates.pop(kind, None)
@@ -90,6 +98,7 @@ class EveryBoard:
     NAME = 'every'
     FAULTS = ''
     READS = True
+    HAS_CLOCK = True
 
 
 def for_every_board(text: str, board: Target) -> List[str]:
@@ -108,13 +117,16 @@ def for_every_board(text: str, board: Target) -> List[str]:
 
 
 def fits(name: str, board: Target) -> bool:
-    """Whether the board can have this kind of fault: some need a board that reads."""
+    """Whether the board can have this kind of fault: some need a board that reads, or sends its
+    time."""
+    if name == 'drift':
+        return board.HAS_CLOCK
     return board.READS or not (KINDS[name].where == RECEIVED or name == 'stall')
 
 
 def _parse_one(text: str, board: Target) -> Tuple[str, Rate]:
     match = _RATE.match(text)
-    if not match:
+    if not match or match.group(2) < '.' and match.group(1) != 'drift':     # '-'
         raise ValueError(f'fault {text!r} is not "all" or KIND=RATE[:SECONDS], as flip=0.01 or '
                          'silence=2/min:0.5-2')
     name, number, per_minute, low, high = match.groups()
@@ -122,8 +134,14 @@ def _parse_one(text: str, board: Target) -> Tuple[str, Rate]:
     if kind is None:
         raise ValueError(f'there is no fault {name!r}, only {", ".join(KINDS)}')
     if not fits(name, board):
-        raise ValueError(f'fault {name!r}: the {board.NAME} board reads nothing anyway')
+        raise ValueError(f'fault {name!r}: the {board.NAME} board '
+                         + ('reads nothing anyway' if board.HAS_CLOCK else 'sends no time'))
     amount = float(number)
+    if kind.where == ALWAYS:
+        most, unit = _MOST[name]
+        if per_minute or low or abs(amount) > most:
+            raise ValueError(f'fault {name!r} is a number up to {most} {unit}: {name}=15')
+        return name, Rate(0.0, 0.0, (0.0, 0.0), amount)
     if kind.where == EVENT and not per_minute and amount:
         raise ValueError(f'fault {name!r} needs a rate per minute: write {name}={number}/min')
     if not per_minute and amount > 1:
@@ -186,7 +204,11 @@ class Faults:
         self.rates = rates or {}
         self.seed = seed
         self.counts: Dict[str, int] = {}
-        triggers = [_Trigger(name, self.rates[name], seed) for name in KINDS if name in self.rates]
+        numbers = {name: rate.number for name, rate in self.rates.items()}
+        self.drift: Optional[float] = numbers.get('drift')    # ppm; None: the board sends no time
+        self.batch = (numbers.get('batch') or 0.0) * 1e-3     # s; 0.0: nothing is held back
+        triggers = [_Trigger(name, self.rates[name], seed) for name in KINDS
+                    if numbers.get(name, 0) is None]
         self._sent = [t for t in triggers if KINDS[t.name].where == SENT]
         self._received = [t for t in triggers if KINDS[t.name].where == RECEIVED]
         self._events = [t for t in triggers if KINDS[t.name].where == EVENT]

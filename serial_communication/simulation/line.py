@@ -3,6 +3,7 @@
 Frames leave in the order in which they were sent, as on any serial line: a delayed frame delays
 all frames behind it.
 """
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Any, Callable, Deque, NamedTuple, Optional
@@ -50,12 +51,14 @@ class SimulatedLine:
                  say: Callable[[str], None] = lambda text: None, baud: int = 0) -> None:
         self.board = board
         self.faults = faults or Faults()
+        self.sends_time = self.faults.drift is not None
         self.frames = 0                # sent by the board, those that faults lost included
         self._write = write
         self._journal = journal
         self.say = say
         self._byte_time = 10.0 / baud if baud else 0.0
         self._now = 0.0
+        self._powered_at = 0.0         # when the board was switched on, or reset
         self._queue: Deque[_Output] = deque()
         self._waiting = 0              # bytes in the queue
         self._free = 0.0               # when the queue is empty
@@ -155,6 +158,11 @@ class SimulatedLine:
                 self._enqueue(sending.wire, ready + sending.repeat_after, 'copy',
                               {'n': self.frames})
 
+    def micros(self) -> int:
+        """The board's clock: µs since it was switched on, modulo 2 ** 32."""
+        pace = 1e6 + (self.faults.drift or 0.0)
+        return round((self._now - self._powered_at) * pace) % 2 ** 32
+
     def send_raw(self, data: bytes) -> None:
         """Send bytes that are not a frame."""
         if self._now >= self._silent_until:
@@ -173,6 +181,7 @@ class SimulatedLine:
 
     def _power_on(self, now: float) -> None:
         self.note('boot')
+        self._powered_at = now
         self.board.power_on(now)
 
     def _begin(self, kind: str, seconds: float) -> None:
@@ -196,15 +205,17 @@ class SimulatedLine:
 
     def _enqueue(self, wire: bytes, ready: float, event: str, fields: dict) -> None:
         start = self._free = max(ready, self._free)
+        batch = self.faults.batch
         pieces = [wire]
         if self._byte_time:
             pieces = [wire[at:at + _PIECE] for at in range(0, len(wire), _PIECE)]
         for index, piece in enumerate(pieces):
             self._free = start = start + len(piece) * self._byte_time
             last = index == len(pieces) - 1
-            self._queue.append(_Output(start, piece, event if last else '', fields))
+            out_at = start if not batch else math.ceil(start / batch) * batch
+            self._queue.append(_Output(out_at, piece, event if last else '', fields))
         self._waiting += len(wire)
-        if len(self._queue) == 1 and start <= self._now:
+        if len(self._queue) == 1 and self._queue[0].ready <= self._now:
             self._put(self._queue.popleft())
 
     def _put(self, output: _Output, why: str = '') -> None:

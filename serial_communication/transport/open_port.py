@@ -21,15 +21,18 @@ from .port_errors import GONE, PortError
 _READ_SIZE = 65536
 _SLICE = 0.05      # s; longest wait of pyserial's reads and writes
 _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
+_PULSE = 0.1       # s for which a control line is changed to reset a board
 _VANISHED = 4      # s without an answer after which a connection's peer has vanished
 _IAC = b'\xff'     # RFC 2217 is telnet, where this byte is doubled in data
 _PTY = range(136, 144)               # major numbers of /dev/pts/*
+_ACM = 166         # of /dev/ttyACM*, whose USB may have no line behind it
 
 
 class OpenPort:
     """What only pyserial can read and write, as loop://; and the base of the other kinds."""
 
     is_pty = False
+    has_baud = False     # whether its bytes were received at the baud rate
 
     def __init__(self, opened: serial.SerialBase, wake: int) -> None:
         self._serial = opened
@@ -74,6 +77,9 @@ class OpenPort:
 
     def restore_settings(self) -> str:
         return ''
+
+    def pulse(self, line: str) -> None:
+        raise PortError('the port has no control lines')
 
     def close(self, is_held: bool) -> None:
         """Close it. `is_held`: its peer takes too little."""
@@ -140,14 +146,14 @@ class OpenTty(_Polled):
 
     def __init__(self, opened: serial.SerialBase, wake: int, reset: bool) -> None:
         super().__init__(opened, wake, opened.fileno())
-        self.is_pty = os.major(os.fstat(self._fd).st_rdev) in _PTY
+        major = os.major(os.fstat(self._fd).st_rdev)
+        self.is_pty = major in _PTY
+        self.has_baud = not self.is_pty and major != _ACM
         with suppress(AttributeError, OSError, ValueError, NotImplementedError):
             opened.set_low_latency_mode(True)   # else an FTDI chip holds data back for 16 ms
         if reset:       # a board whose reset line is connected to DTR
             with suppress(OSError, termios.error):
-                opened.dtr = False
-                time.sleep(0.05)
-                opened.dtr = True
+                self.pulse('dtr')
         # Locked also against programs that ignore pyserial's lock, except those of root. Of a
         # pseudo terminal the kernel would keep the lock for as long as the other end is open, so
         # after a SIGKILL this user could not open the port again.
@@ -187,6 +193,16 @@ class OpenTty(_Polled):
         except (OSError, termios.error):
             return ''       # the device is gone; the next read reports it
         return tty_settings.changes(wanted, found)
+
+    def pulse(self, line: str) -> None:
+        """Reset the board, as Arduino's programs do it by DTR, whose rise resets, and esptool by
+        RTS, which resets while it is set and DTR is not."""
+        is_rts = line == 'rts'
+        self._serial.dtr = False
+        if is_rts:
+            self._serial.rts = True
+        time.sleep(_PULSE)
+        setattr(self._serial, line, not is_rts)
 
     def close(self, is_held: bool) -> None:
         if is_held:     # closing waits up to 30 s for the output to drain

@@ -35,10 +35,14 @@ class Opener:
         self._thread.start()
 
     def end(self) -> None:
-        """Stop opening the port; returns at once, also while an opening hangs."""
+        """Stop opening the port, and make a read of it return now.
+
+        Returns at once, also while an opening hangs.
+        """
         self.ending.set()
         self._tries.put(0.0)
         self._results.put('')
+        self._port.wake()
 
     def open(self, failed: Callable[[str], None],
              idle: Callable[[float], Optional[float]] = lambda now: None) -> bool:

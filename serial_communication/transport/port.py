@@ -8,16 +8,32 @@ import termios
 import threading
 import time
 from contextlib import suppress
-from typing import Optional
+from typing import NamedTuple, Optional
 
 import serial
 
+from .holders import holders_of
 from .open_port import OpenPort, open_port
+from .pace import clock
 from .port_errors import PortBusy, PortError, explain, who_has_it_open
 from .urls import NETWORK, check_device, read_url
 
 _STALLED = 0.1     # s of wire time; with a longer backlog a tty counts as held when it closes
 _LOOK_AGAIN = 10.0  # s for which the program that has the port open is not looked up again
+
+
+class Loan(NamedTuple):
+    """Another program has borrowed a port."""
+
+    by: str          # who; for people
+    until: float     # s; by `pace.clock`
+
+    @property
+    def runs(self) -> bool:
+        return clock() < self.until
+
+    def __str__(self) -> str:
+        return f'lent to {self.by}'
 
 
 class Port:
@@ -33,13 +49,16 @@ class Port:
         self.is_network = self._scheme in NETWORK
         self.is_pty = False              # the open port is a pseudo terminal, which hides it, too
         self.baud = baud
+        self.byte_time = 0.0             # s on the wire of a byte received; 0.0: not known
         self.bytes_received = 0
         self.bytes_sent = 0
         self._reset_on_open = reset_on_open
+        self.loan: Optional[Loan] = None     # the port stays closed while it runs
         self._opened: Optional[OpenPort] = None
         self._failure = ''               # why this connection was given up
         self._in_use = ('', '', 0.0)     # path, who has it open, when to look again (monotonic)
-        self._lock = threading.Lock()    # held to write, open and close
+        self._door = threading.Lock()    # held while a descriptor is opened or closed
+        self._lock = threading.Lock()    # held to write, open and close; after `_door`
         self._rest = b''                 # the unsent rest of a frame that the kernel took in part
         self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
@@ -50,18 +69,68 @@ class Port:
     def open(self) -> None:
         """Open the port; raise PortError with the reason if it cannot be opened now."""
         path = ''
-        try:
-            port = serial.serial_for_url(self.url, do_not_open=True)
-            path = port.port or ''
-            check_device(path)
-            port.baudrate = self.baud
-            opened = open_port(port, self._scheme, self._wake_read, self._reset_on_open)
-        except (OSError, ValueError, termios.error) as error:
-            raise PortError(explain(error, path, self._who_has_it_open)) from None
+        with self._door:
+            try:
+                port = serial.serial_for_url(self.url, do_not_open=True)
+                path = port.port or ''
+                self._refuse_while_lent(path)
+                check_device(path)
+                port.baudrate = self.baud
+                opened = open_port(port, self._scheme, self._wake_read, self._reset_on_open)
+            except (OSError, ValueError, termios.error) as error:
+                raise PortError(explain(error, path, self._who_has_it_open)) from None
+            with self._lock:
+                self.is_pty = opened.is_pty
+                self.byte_time = 10.0 / self.baud if opened.has_baud else 0.0
+                self._rest, self._in_use = b'', ('', '', 0.0)
+                self._failure = str(self.loan or '')     # lent meanwhile: nothing may be written
+                self._opened = opened
+
+    def _refuse_while_lent(self, path: str) -> None:
+        """Raise PortError while a loan runs, and afterwards until no other program has the device
+        open: an upload goes on if whoever renewed its loan was killed."""
+        loan = self.loan
+        if loan is None:
+            return
+        if loan.runs:
+            raise PortError(str(loan))
+        holders = [str(each) for each in holders_of(path) if each.pid != os.getpid()]
+        if holders:
+            raise PortError(f'it was {loan}, and is still open in {", ".join(holders)}')
         with self._lock:
-            self.is_pty = opened.is_pty
-            self._rest, self._failure, self._in_use = b'', '', ('', '', 0.0)
-            self._opened = opened
+            if self.loan is loan:       # else it is lent again
+                self.loan = None
+
+    def lend_closed(self, loan: Loan) -> bool:
+        """Lend the port, or change the loan, if it is closed; return whether it is."""
+        with self._lock:
+            if self._opened is None:
+                self.loan = loan
+            return self._opened is None
+
+    def give_up(self, why: str) -> None:
+        """Write nothing more until the port is opened again; the next `read` raises PortError,
+        whose text is `why`."""
+        with self._lock:
+            self._failure = why
+        self.wake()
+
+    def has_closed(self) -> bool:
+        """Whether no descriptor is open, or just being opened or closed."""
+        if not self._door.acquire(blocking=False):
+            return False
+        self._door.release()
+        return not self.is_open
+
+    def pulse(self, line: str) -> None:
+        """Reset the board by the line `dtr` or `rts`; PortError if the port has no such lines."""
+        opened = self._opened
+        try:
+            if opened is None:
+                raise PortError('the port is closed')
+            opened.pulse(line)
+        except (OSError, termios.error) as error:
+            raise PortError(explain(error)) from None
 
     def _who_has_it_open(self, path: str) -> str:
         """Looked up at most every `_LOOK_AGAIN` s: it reads the open files of all processes."""
@@ -72,13 +141,16 @@ class Port:
 
     def close(self) -> None:
         """Close the port; what was written but not sent is dropped."""
-        with self._lock:
-            is_held = bool(self._rest) or self.backlog() > _STALLED
-            closing, self._opened = self._opened, None
-            self._rest = b''
-        if closing:
-            with suppress(OSError, termios.error):
-                closing.close(is_held)
+        if self._opened is None:
+            return      # it may just be opened, which may take minutes
+        with self._door:
+            with self._lock:
+                is_held = bool(self._rest) or self.backlog() > _STALLED
+                closing, self._opened = self._opened, None
+                self._rest = b''
+            if closing:
+                with suppress(OSError, termios.error):
+                    closing.close(is_held)
 
     def read(self, timeout: Optional[float]) -> bytes:
         """Sleep until bytes are received, and return all of them.
@@ -111,7 +183,7 @@ class Port:
         with self._lock:
             opened = self._opened
             if opened is None or self._failure:
-                raise PortError(self._failure or 'the port is closed')
+                raise PortError(str(self.loan or self._failure or 'the port is closed'))
             try:
                 if self._rest:
                     self._rest = self._send(opened, self._rest)

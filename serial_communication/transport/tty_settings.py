@@ -33,6 +33,7 @@ def set_raw(fd: int, baud: int) -> bytes:
 
     HUPCL is off: closing leaves DTR as it is, so opening it again does not reset a board by DTR.
     """
+    termios.tcflow(fd, termios.TCOON)     # another program may have stopped the output
     line, characters = _FORM.unpack(read(fd))[4:6]
     characters = bytearray(characters)
     characters[termios.VMIN] = characters[termios.VTIME] = 0

@@ -1,4 +1,4 @@
-"""Measures latency, jitter and CPU time of the bridge on this machine. Takes about six minutes.
+"""Measures latency, jitter and CPU time of the bridge on this machine. Takes about eight minutes.
 
 The bench starts its own roscore, the bridge, boards behind pseudo terminals, and the references: a
 node that polls its port, a node that only publishes, and with --against the bridge of another
@@ -9,7 +9,7 @@ is 0 if the bench worked, whatever it measured.
 import argparse
 from typing import List, Optional
 
-SECTIONS = 'latency', 'busy', 'cpu', 'bus', 'flood', 'bridges'
+SECTIONS = 'latency', 'busy', 'stamps', 'cpu', 'bus', 'flood', 'bridges'
 
 
 def parse(arguments: Optional[List[str]] = None) -> argparse.Namespace:
@@ -23,9 +23,6 @@ def parse(arguments: Optional[List[str]] = None) -> argparse.Namespace:
                         help='build this commit and measure its bridge in the same rounds')
     parser.add_argument('--only', metavar='SECTION,...', type=_sections, default=list(SECTIONS),
                         help='measure only these sections, of ' + ', '.join(SECTIONS))
-    parser.add_argument('--hostile', action='store_true',
-                        help='measure only the cost of the worst bytes for the decoders, compared '
-                             'with normal traffic')
     parser.add_argument('--json', metavar='FILE', help='write the figures to this file')
     return parser.parse_args(arguments)
 

@@ -4,12 +4,13 @@
     listener reads and stamps each heartbeat
     bus      answers requests at the speed of a wire
 """
+import math
 import os
 import select
 import sys
 import threading
 import time
-from typing import Callable, Dict, Iterable, List
+from typing import Callable, Dict, Iterable, List, Optional
 
 from fake_bus import FakeBus
 from serial_communication.boards.arduino import wire as arduino
@@ -67,6 +68,26 @@ class Talker:
                 os.write(self._fd, packet)
             sent.append(times)
         return sent
+
+    def measure(self, seconds: float, ppm: Optional[float], batch: float) -> List[float]:
+        """Send turns at jittered times; return when each was measured, in s since 1970.
+
+        Args:
+            ppm: how much too fast the board's clock is, whose time precedes each turn; None: none.
+            batch: s; an adapter delivers at each multiple of it. 0.0: there is no adapter.
+        """
+        measured, ahead = [], time.time() - time.monotonic()
+        for n, at in enumerate(jittered(time.monotonic(), self._rate, seconds)):
+            sleep_until(math.ceil(at / batch) * batch if batch else at)
+            if not batch:
+                at = time.monotonic()
+            packets = self._turn(n)
+            if ppm is not None:
+                packets.insert(0, arduino.encode(arduino.Time(
+                    round(at * (1e6 + ppm)) % 2 ** 32, len(packets))))
+            os.write(self._fd, b''.join(packets))
+            measured.append(at + ahead)
+        return measured
 
     def flood(self, baud: int, seconds: float) -> Dict[str, int]:
         """Send packets without gaps; count bytes as lost that the port does not take at once."""
@@ -150,7 +171,7 @@ def main() -> None:
     sys.setswitchinterval(0.0005)
     if role == 'talker':
         talker = Talker(fd, sys.argv[3])
-        serve(talk=talker.talk, flood=talker.flood)
+        serve(talk=talker.talk, measure=talker.measure, flood=talker.flood)
     else:
         serve(take=(Listener if role == 'listener' else BusBoard)(fd).take)
 

@@ -10,7 +10,6 @@ import psutil
 
 from serial_communication.output import prepare_output
 from processes import StageError
-from .hostile import hostile
 from .report import judge, render
 from .sections import SECTIONS, Plan
 from .stage import BenchStage
@@ -23,8 +22,6 @@ def main(options: Namespace) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)    # the children end
     before, load = psutil.cpu_times(), os.getloadavg()[0]
     try:
-        if options.hostile:
-            return 0 if hostile() else 1
         results = {}
         with BenchStage(options.against) as stage:
             for name in options.only:

@@ -130,7 +130,8 @@ class Subscriber:
         received = self._received[node]
         self._subscribers.append(rospy.Subscriber(
             f'{node}/{name}', kind,
-            lambda message: received.append((packet, number(message), time.monotonic())),
+            lambda message: received.append((packet, number(message), time.monotonic(),
+                                             message.header.stamp.to_sec())),
             tcp_nodelay=True))
 
     def missing(self) -> List[str]:
@@ -139,8 +140,8 @@ class Subscriber:
                 if not subscriber.get_num_connections()]
 
     def take(self, node: str) -> List[list]:
-        """Return [index of the packet in its turn, running number, time of the callback] of each
-        message since the last call."""
+        """Return [index of the packet in its turn, running number, time of the callback, stamp] of
+        each message since the last call."""
         count = len(self._received[node])
         taken = self._received[node][:count]
         del self._received[node][:count]

@@ -24,7 +24,7 @@ def best(rounds: Sequence[Figures]) -> Figures:
 
 
 def latencies(sent: Sequence[Sequence[float]],
-              received: Sequence[Tuple[int, int, float]]) -> List[float]:
+              received: Sequence[Sequence]) -> List[float]:
     """Return the latency in s of each packet that was received.
 
     Args:
@@ -33,10 +33,28 @@ def latencies(sent: Sequence[Sequence[float]],
             before it was sent is of an earlier round.
     """
     found = {}
-    for packet, number, at in received:
+    for packet, number, at, *_ in received:
         if number < len(sent) and at >= sent[number][packet]:
             found.setdefault((packet, number), at - sent[number][packet])
     return list(found.values())
+
+
+def stamp_errors(measured: Sequence[float], received: Sequence[Sequence],
+                 begin: int) -> Tuple[List[float], List[float]]:
+    """Return how far each stamp is from its measurement, and the distance of each two that follow
+    one another from that of their measurements, in s.
+
+    Args:
+        measured: the time of each turn.
+        received: as for `latencies`, with the stamp behind the time; of one round.
+        begin: the first turn that counts.
+    """
+    stamps = {number: stamp for packet, number, _, stamp in received if packet == 0}
+    errors = {turn: stamps[turn] - at for turn, at in enumerate(measured)
+              if turn >= begin and turn in stamps}
+    return ([abs(error) for error in errors.values()],
+            [abs(error - errors[turn - 1]) for turn, error in errors.items()
+             if turn - 1 in errors])
 
 
 def gaps_in_queue(exchanges: Sequence[Tuple[float, float]],
@@ -85,6 +103,15 @@ GOALS = (
     Goal('1 Mbaud back to back: messages and bytes lost', 0, 'flood',
          lambda results: sum(value for name, value in results['bridge'].items()
                              if 'lost' in name)),
+    *(Goal(f"stamps with the board's time, {line}: p99 of the error in ms", limit, 'stamps',
+           lambda results, line=line: results[line]['board: error p99, ms'])     # type: ignore[misc]
+      for line, limit in (('tty', 0.3), ('1 ms', 0.6), ('16 ms', 2.5))),
+    Goal('distance of two of them, p99 in ms', 0.1, 'stamps',
+         lambda results: max(results[line]['board: distance p99, ms']
+                             for line in ('tty', '1 ms', '16 ms'))),
+    Goal("CPU with the board's time, relative to without", 1.05, 'stamps',
+         lambda results: results['tty']['board: ' + SCHEDSTAT]
+         / results['tty']['no time: ' + SCHEDSTAT]),
     Goal('CPU of each of several bridges, relative to one', 1.10, 'bridges',
          _ratio(CPU, 'all', 'one')),
 )

@@ -17,11 +17,12 @@ from processes import Child
 from serial_communication.boards import description
 from .nodes import topics_of_boards
 from .report import (CPU, SCHEDSTAT, Figures, Results, best, gaps_in_queue, latencies,
-                     percentile)
+                     percentile, stamp_errors)
 from .stage import BenchStage, Servant, Side
 
 _SETTLE = 0.2          # s until messages under way have arrived
 _CALLERS = 8
+_LEARN = 2.0           # s after which a board's clock is certainly known
 _IN_QUEUE = 0.002      # s after which a call is certainly in the node's queue
 _FLOOD = 1000000       # baud
 _ALL, _CPU_MS, _WAKES = 'all threads', 'ms', 'wake-ups'     # see threads_of
@@ -198,6 +199,48 @@ def bridges(stage: BenchStage, plan: Plan) -> Results:
     return _in_turn(plan, {'one': measure(sides[:1]), 'all': measure(sides)})
 
 
+def stamps(stage: BenchStage, plan: Plan) -> Results:
+    """Stamps of the reads and of a board's clock (300 ppm fast, 100 Hz), on a tty, behind an adapter
+    that delivers each 1 or 16 ms, and on a tty beside two busy processes."""
+    ppms = {'board': 300.0, 'read': 300.0, 'no time': None}
+    sides = {name: stage.side('bridge', ('arduino',), {'arduino/board_time': name != 'read'})
+             for name in ppms}
+    subscriber = stage.servant('nodes', 'subscriber', *[side.node for side in sides.values()])
+    stage.wait(lambda: not subscriber.ask('missing'), 'IMU and steering are connected')
+    for side in sides.values():
+        _first_messages(stage, side)
+
+    def round_with(batch: float) -> Figures:
+        figures: Figures = {}
+        for side in sides.values():
+            subscriber.ask('take', node=side.node)
+        before = {name: threads_of(side.child.pid)[_ALL, _CPU_MS] for name, side in sides.items()}
+        for name, side in sides.items():
+            side.talkers['arduino'].begin('measure', seconds=_LEARN + plan.seconds, ppm=ppms[name],
+                                          batch=batch)
+        sent = {name: side.talkers['arduino'].answer() for name, side in sides.items()}
+        time.sleep(_SETTLE)
+        for name, side in sides.items():
+            errors, distances = stamp_errors(
+                sent[name], subscriber.ask('take', node=side.node), round(_LEARN * 100))
+            figures.update({
+                f'{name}: error p50, ms': _figure(median, errors),
+                f'{name}: error p99, ms': _figure(lambda values: percentile(values, 99), errors),
+                f'{name}: distance p99, ms':
+                    _figure(lambda values: percentile(values, 99), distances),
+                f'{name}: {SCHEDSTAT}': (threads_of(side.child.pid)[_ALL, _CPU_MS] - before[name])
+                / 10 / (_LEARN + plan.seconds)})
+        return figures
+
+    def lines(batches: Dict[str, float]) -> Results:
+        return _in_turn(plan, {name: lambda batch=batch: round_with(batch)
+                               for name, batch in batches.items()})
+
+    found = lines({'tty': 0.0, '1 ms': 0.001, '16 ms': 0.016})
+    stage.busy(2)
+    return {**found, **lines({'busy': 0.0})}
+
+
 def flood(stage: BenchStage, plan: Plan) -> Results:
     """Losses with packets back to back at 1 Mbaud and every topic subscribed."""
     counter = stage.servant('nodes', 'counter')
@@ -257,4 +300,5 @@ def bus(stage: BenchStage, plan: Plan) -> Results:
     return _in_turn(plan, {name: lambda side=side: measure(side) for name, side in sides.items()})
 
 
-SECTIONS = {section.__name__: section for section in (latency, busy, cpu, bus, flood, bridges)}
+SECTIONS = {section.__name__: section for section in (
+    latency, busy, stamps, cpu, bus, flood, bridges)}

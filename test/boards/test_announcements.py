@@ -192,26 +192,6 @@ def test_the_silence_of_classes_that_were_replaced_is_not_kept(line, logger, run
     assert len(link._latest) == 1
 
 
-# What the links sent before there were announcements: recorded, each frame once, without ECHOs.
-RECORDED_CAR = {b'\x02\x04\x01\x01', b'\x02\x0b'}                       # SPEED 0, heartbeat
-RECORDED_BUS = {b'\xa5\x00\x00\x00\xa5', b'\xa5\x02\x55\x22\xd0'}    # SYNC, environment
-
-
-@pytest.mark.parametrize('announces', [False, True])
-def test_the_car_gets_no_byte_that_it_did_not_get_before(line, logger, running, announces):
-    link = ArduinoLink(Port(line.path), logger=logger)
-    texts = []
-    link.announcement.on_text = texts.append
-    running(link)
-    received = line.read(10)
-    line.write(b''.join(packets(TEXT)) if announces else TICKS)
-    until(lambda: link.frames_received)
-    until(lambda: link.heartbeats_sent > 30)
-    received += line.read_all(0.005)
-    assert texts == [TEXT] * announces
-    assert set(received.split(b'\0')[:-1]) == RECORDED_CAR
-
-
 def test_the_sensor_board_gets_no_byte(line, logger, running):
     link = McuLink(Port(line.path), logger=logger)
     texts = []
@@ -268,16 +248,6 @@ def test_a_bus_board_is_asked_only_if_the_parameter_says_so(bus_board, bus_link)
     assert bus_board.questions() == [] and set(bus_board.executed) == {bus.ENVIRONMENT_REQUEST}
 
 
-def test_a_bus_board_gets_no_byte_that_it_did_not_get_before(line, logger, running, bus_board):
-    link = BusLink(Port(line.path), BusSettings(reply_timeout=0.2, environment_period=0.01),
-                   logger=logger)
-    link.announcement.on_text = lambda text: None
-    running(link)
-    until(lambda: bus_board.executed.count(bus.ENVIRONMENT_REQUEST) > 10)
-    assert {frame.raw for frame in list(bus_board.frames)
-            if frame.message.cmd1 != bus.ECHO} == RECORDED_BUS
-
-
 def test_a_bus_board_is_asked_for_each_chunk_once_a_connection_after_sync(bus_board, bus_link):
     bus_board.chunks = chunks_of(TEXT, 20)
     link = bus_link()
@@ -313,17 +283,6 @@ def test_any_other_answer_means_that_nothing_is_announced(bus_board, bus_link, a
 def short_pauses(monkeypatch):
     monkeypatch.setattr(announcement, '_PAUSES', (0.0, 0.01, 0.02, 0.03, 0.04, 0.05),
                         raising=False)
-
-
-@pytest.mark.parametrize('lost', [1, 5])
-def test_a_question_that_is_not_answered_is_asked_again(bus_board, bus_link, short_pauses, lost):
-    bus_board.chunks = chunks_of(TEXT, 20)
-    bus_board.rule = lambda request: b'' if len(bus_board.questions()) <= lost \
-        and request[:2] == ASKED else None
-    link = bus_link(retries=0)
-    until(lambda: link.texts)
-    assert link.texts == [TEXT]
-    assert bus_board.questions()[:lost + 2] == [b'\0'] * (lost + 1) + [b'\1']
 
 
 def test_a_board_that_never_answers_the_question_is_asked_six_times(
@@ -472,20 +431,3 @@ def test_a_text_whose_crc_never_matches_is_ignored_after_three_rounds(bus_board,
     until(lambda: len(bus_board.executed) > seen + 3)
     assert link.texts == [b''] and len(bus_board.questions()) == 3 * len(bus_board.chunks)
     assert len(lines('does not match its text in 3 rounds')) == 1
-
-
-def test_announced_polls_wait_until_the_board_announces_them(bus_board, bus_link):
-    link = bus_link()
-    poller = link.polls.add(PUMP_FUNCTION, 0.01, lambda outcome: None)
-    until(lambda: link.texts == [b''])
-    seen = len(bus_board.executed)
-    until(lambda: len(bus_board.executed) > seen + 3)
-    assert PUMP not in bus_board.executed
-    link.announcement.use(b'', '', [])
-    until(lambda: PUMP in bus_board.executed)
-    link.polls.remove(poller)
-    until(lambda: bus_board.executed[-1] != PUMP)
-    count = bus_board.executed.count(PUMP)
-    seen = len(bus_board.executed)
-    until(lambda: len(bus_board.executed) > seen + 3)
-    assert bus_board.executed.count(PUMP) <= count + 1

@@ -1,8 +1,5 @@
-"""The protocols by definition, against plain bytes, and against the package's decoders."""
-import struct
-
+"""The protocols by definition, against the package; test_stream_decoders compares the decoders."""
 import by_definition as codec
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,89 +8,17 @@ from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.announcement import chunks_of
 
-VECTORS = [
-    # What doc/protocols.md has, byte for byte.
-    (codec.request_at, 'a5 02 55 20 00 64 b6', (0x55, 0x20, bytes((0, 100)))),
-    (codec.request_at, 'a5 02 55 22 d0', (0x55, 0x22, b'')),
-    (codec.request_at, 'a5 00 55 22 d2', (0x55, 0x22, b'')),
-    (codec.request_at, 'a5 00 00 00 a5', (0x00, 0x00, b'')),
-    (codec.reply_at, 'a5 00 02 a7', (0x02, 0, b'')),
-    (codec.reply_at, 'a5 01 ff 40 1b', (0xFF, 0, b'\x40')),
-    (codec.reply_at, 'a5 02 03 02 80 26', (0x03, 0, b'\x02\x80')),
-    (codec.mcu_at, '02 02 55 07 52 03', (0x55, 7, b'')),
-    (codec.mcu_at, '02 0c 10 01 f4 01 58 02 10 27 0a 00 f6 ff 8a 03',
-     (0x10, 1, struct.pack('<HHhhh', 500, 600, 10000, 10, -10))),
-    (codec.arduino_at, '02 0b 00', (11, 0, b'')),
-    (codec.arduino_at, '02 04 01 01 00', (4, 0, b'\0\0')),
-    (codec.arduino_at, '04 04 2c 01 00', (4, 0, b'\x2c\x01'))]
-PAIRS = {      # the campaign's function, the package's decoder
-    'bus': (codec.reply_at, bus.ReplyDecoder), 'requests': (codec.request_at, bus.RequestDecoder),
-    'mcu': (codec.mcu_at, mcu.Decoder), 'arduino': (codec.arduino_at, arduino.Decoder)}
-SMALL = st.binary(max_size=6)
-FRAMES = st.one_of(
-    st.builds(lambda kind, data: codec.bus_frame(bytes((kind,)), data),
-              st.sampled_from([0, 1, 2, 3, 255]), st.one_of(SMALL, st.binary(min_size=254,
-                                                                             max_size=258))),
-    st.builds(lambda cmd2, data: codec.bus_frame(bytes((0x55, cmd2)), data),
-              st.integers(0, 255), SMALL),
-    st.builds(codec.mcu_frame, st.integers(0, 255), st.integers(0, 255), SMALL),
-    st.builds(lambda data: codec.mcu_frame(0x10, 5, data), st.binary(min_size=10, max_size=10)),
-    st.builds(codec.arduino_packet, st.integers(0, 255), st.one_of(SMALL, st.binary(
-        min_size=250, max_size=257))),
-    st.binary(min_size=1, max_size=8),
-    st.sampled_from([b'\xa5\x02\x55\x22\xd0', b'\xa5', b'\x5a\xff\x00', b'\x02\x40', b'\x00']))
-
 
 @given(st.binary(min_size=1, max_size=300), st.integers(2, 60))
 def test_an_announcement_has_the_chunks_of_the_package(text, size):
     assert codec.announcement(text, size) == [chunk.pack() for chunk in chunks_of(text, size)]
 
 
-@pytest.mark.parametrize('frame_at, raw, content', VECTORS)
-def test_plain_vector(frame_at, raw, content):
-    raw = bytes.fromhex(raw)
-    assert [frame.content for frame in codec.decode(raw, frame_at)[0]] == [content]
-    for end in range(len(raw)):     # incomplete
-        assert codec.decode(raw[:end], frame_at)[0] == []
-    for bit in range(8 * len(raw)):         # one wrong bit is seen where there is a checksum
-        bad = bytearray(raw)
-        bad[bit // 8] ^= 1 << bit % 8
-        found = codec.decode(bytes(bad), frame_at, True)[0]
-        if frame_at is not codec.arduino_at:
-            assert content not in [frame.content for frame in found]
-
-
-def damaged(part, by):
-    """The bytes with an end cut off, a bit flipped, or as they are."""
-    if by % 4 == 1:
-        return part[:len(part) - by % 3]
-    at = by % len(part)
-    return part[:at] + bytes((part[at] ^ 1 << by % 8,)) + part[at + 1:] if by % 4 == 2 else part
-
-
-@pytest.mark.parametrize('link', PAIRS)
-@given(parts=st.lists(FRAMES, max_size=8), cuts=st.lists(st.integers(0, 300), max_size=4))
-def test_same_frames_as_the_package(link, parts, cuts):
-    """Valid frames, damage, in any pieces: both find the same, in the same order."""
-    frame_at, make = PAIRS[link]
-    stream = b''.join(damaged(part, cut) for part, cut in zip(parts, cuts + [0] * len(parts)))
-    decoder, found = make(), []
-    for start, end in zip([0, *sorted(cuts)], [*sorted(cuts), len(stream)]):
-        found += decoder.feed(stream[start:end])
-    while decoder.pending:
-        found += decoder.give_up()
-    mine = codec.decode(stream, frame_at, True)[0]
-    # That a type is not known, or its length or values are wrong, is not asked here.
-    theirs = [(frame.type, frame.number, frame.data) for frame in found
-              if not frame.cause or frame.cause in ('length', 'unknown type', 'implausible')]
-    assert [frame.content for frame in mine] == theirs
-    assert set(theirs) <= {frame.content for frame in codec.all_frames(stream, frame_at)}
-
-
 @given(type_=st.integers(0, 255), seq=st.integers(0, 255), data=st.binary(max_size=253))
 def test_encoders_write_what_the_package_writes(type_, seq, data):
     assert codec.arduino_packet(type_, data) == arduino.encode_raw(type_, data)
     assert codec.mcu_frame(type_, seq, data) == mcu.encode_raw(type_, seq, data)
+    assert codec.bus_frame(bytes((type_,)), data) == bus.encode_reply(bus.Reply(type_, data))
     assert codec.bus_frame(bytes((type_, seq)), data) == bus.encode_request(
         bus.Request(type_, seq, data)) or (type_, seq, data) == (0x55, 0x22, b'')
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol_cases import ALL, CHECKSUMMED, BOARD_BUS, BUS, decode, hexed, name_of
+from protocol_cases import ALL, CHECKSUMMED, BUS, decode, hexed, name_of
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
@@ -58,15 +58,6 @@ def test_the_damaged_part_of_a_request_has_the_error(damage, name):
     assert [part.name for part in parts if part.error][0] == name
 
 
-def test_the_parts_of_a_request():
-    parts = bus.RequestDecoder().explain(bus.encode_request(bus.lift(1, 100)))
-    assert [(part.name, part.value, part.unit, part.meaning) for part in parts] == [
-        ('Flag', 0xA5, '', 'standard frame'), ('Datelen', 2, '', 'bytes of DATE'),
-        ('CMD1', 0x55, '', 'function'), ('CMD2', 0x20, '', 'lift'),
-        ('direction', 1, '', 'down'), ('distance', 100, 'mm', ''),
-        ('Checksum', 0xB7, '', 'matches')]
-
-
 def test_the_parts_of_replies():
     reading = bus.encode_reply(bus.Reply(bus.OK, bus.Environment(350, 25.63, 48.12).pack()))
     for request, meaning in ((None, 'if it is an environment reply'),
@@ -80,31 +71,6 @@ def test_the_parts_of_replies():
     parts = BUS.make().explain(bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80'))[:-1] + b'\0')
     assert [(part.name, part.value, part.meaning, part.error) for part in parts[3:]] == [
         ('error code', 0x8002, 'the operation failed', ''), ('Checksum', 0, '', 'should be 0x26')]
-
-
-def test_an_environment_request_has_no_date_whatever_its_datelen_says():
-    for datelen in (2, 0):
-        parts = BOARD_BUS.make().explain(bus.encode_request(bus.ENVIRONMENT_REQUEST, datelen))
-        assert [part.name for part in parts] == ['Flag', 'Datelen', 'CMD1', 'CMD2', 'Checksum']
-        assert errors_of(parts) == []
-
-
-def test_the_parts_of_a_sensor_status():
-    parts = mcu.Decoder().explain(mcu.encode(mcu.SensorStatus(47, 0xFFFF, 350.0, 1.0, -2.0), 9))
-    shown = [(part.name, part.raw, part.value, part.unit, part.meaning) for part in parts[3:-2]]
-    assert shown == [
-        ('SEQ', 9, 9, '', ''), ('range_1', 47, 47, 'mm', ''),
-        ('range_2', 0xFFFF, 0xFFFF, 'mm', 'the sensor timed out'),
-        ('yaw', -30536, 350.0, 'degrees', 'a heading that wrapped'),
-        ('pitch', 100, 1.0, 'degrees', ''), ('roll', -200, -2.0, 'degrees', '')]
-
-
-def test_a_cobs_code_that_replaces_a_zero_belongs_to_the_value():
-    frame = arduino.encode(arduino.Voltage(12.0))
-    parts = arduino.Decoder().explain(frame)
-    assert [(part.start, part.end, part.name, part.data, part.value) for part in parts] == [
-        (0, 1, 'COBS code', b'\2', 2), (1, 2, 'type', b'\x0a', 10),
-        (2, 6, 'value', b'\0\0\x40\x41', 12.0), (6, 7, 'end', b'\0', 0)]
 
 
 def test_the_part_with_an_impossible_value_has_the_error():

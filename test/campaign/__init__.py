@@ -5,12 +5,13 @@ Why its results can be trusted:
 The campaign holds the far end of every line itself (lines.py). It reads what the bridge writes with
 decoders that share no code with the bridge (test/helpers/by_definition.py). The boards (boards.py)
 record what they receive, and number what they send. The robot's side (robot.py) is one ROS node in
-the same process, so one clock stamps both ends: the time of the read. Only the witness (logs.py)
-can excuse the bridge. The requirements, and how often each has to be tried, are in rows.txt.
+the same process, so one clock stamps both ends: the time of the read, or of the write where the
+kernel delays what it moves (writes.py). Only a witness (machine.py) can excuse the bridge. The
+requirements, and how often each has to be tried, are in rows.txt.
 
-Before each event of the exact part (exact_*.py) `Rig.settle` waits until nothing is in progress, so
-all that follows is caused by this event. Every command, call and measurement has a unique number,
-so a check compares two lists, or finds that a number did not arrive: a later packet on the same
-line proves that. The other part is in storm.py. That the campaign finds what it claims to find,
-broken/ shows.
+Before each scenario and each try of the exact part (exact_*.py) `Rig.settle` waits until nothing is
+in progress, so all that follows is caused by its event. Every command, call and measurement has a
+unique number, so a check compares two lists, or finds that a number did not arrive: a later packet
+on the same line proves that. The other part is in storm.py. That the campaign finds what it claims
+to find, broken/ shows.
 """

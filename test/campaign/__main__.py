@@ -24,7 +24,6 @@ parser.add_argument('--busy', type=int, default=2, metavar='N',
                     help='busy processes during the statistical part (%(default)d)')
 parser.add_argument('--keep', default='', metavar='DIR',
                     help='keep all records here, not only those of a violation')
-parser.add_argument('--json', metavar='FILE', help='write the table to this file as JSON')
 parser.add_argument('--part', default='all', metavar='NAME',
                     help='run only this part (exact or storm), or only the scenarios of the exact '
                          'part with NAME in their name (exact_car, openings)')

@@ -10,6 +10,8 @@ from .lines import Clock, SerialLine
 
 # s: silences that are a fence: after three lost ECHOs and a SYNC, of a board that never echoes.
 _SILENCE, _SHORT_SILENCE = 0.29, 0.019
+_SILENT = 1.4            # s of silence of the car after which the bridge drops output of a pty
+_DROPS = 0.5             # s in which it notices that the car talks again
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
 # Custom messages of the car: a number, bytes and a sign of life that it sends, and two commands.
 COUNTER, BLOB, ALIVE, HEATER, WINCH = range(60, 65)
@@ -64,7 +66,6 @@ class Packet(NamedTuple):
     type: int
     data: bytes
     beats: int           # heartbeats before it on this connection
-    connection: int
 
     @property
     def number(self) -> int:
@@ -210,15 +211,16 @@ class Car(Board):
         self.talks, self.quiet_until = True, 0.0
         self.packets: List[Packet] = []          # without heartbeats
         self.beats = 0                           # heartbeats received on this connection
-        self.all_beats = 0
+        self.all_beats = 0                       # on all connections
         self.gaps: List[Tuple[float, float]] = []
         self.longest_gap = 0.0                   # s, of the others
-        self.first: Dict[int, Packet] = {}       # the first packet of each connection
-        self.first_beat = 0.0                    # when that of this connection was read
-        self.ended: List[int] = []               # heartbeats of each connection that has ended
+        self.first: Optional[Packet] = None      # of this connection
+        self.last: Optional[Packet] = None       # also if it is a heartbeat
         self.on_packet: Callable[[Packet], None] = self.packets.append
         self.on_beat: Callable[[float], None] = lambda now: None
-        self._last_beat = float('inf')           # inf: a gap is no fault
+        self.beat_at = 0.0                       # when the latest one was written
+        self._last_beat = float('inf')           # likewise; inf: a gap is no fault
+        self._talked_at = self._woke_at = 0.0    # when it talked; also after a silence
         self._clock, self._number = clock, 0
         self._live()
 
@@ -229,28 +231,38 @@ class Car(Board):
 
     def start_connection(self) -> None:
         super().start_connection()
-        self.ended.append(self.beats)
-        self.beats = 0
+        self.beats, self.first = 0, None
         self.forget_beat()
+
+    def write(self, data: bytes) -> bool:
+        now = time.monotonic()
+        self._woke_at = now if now - self._talked_at > _SILENT else self._woke_at
+        self._talked_at = now
+        return super().write(data)
 
     def forget_beat(self) -> None:
         """The gap between the previous heartbeat and the next one is no fault of the bridge."""
         self._last_beat = float('inf')
 
     def received(self, frame: codec.Frame, now: float) -> None:
-        packet = Packet(now, frame.type, frame.data, self.beats, self.connection)
-        self.first.setdefault(self.connection, packet)
+        packet = self.last = Packet(now, frame.type, frame.data, self.beats)
+        self.first = self.first or packet
         if frame.type != codec.HEARTBEAT:
             self.on_packet(packet)
             return
-        self.first_beat = self.first_beat if self.beats else now
         self.beats += 1
         self.all_beats += 1
-        if now - self._last_beat >= BEAT_MISSED:
-            self.gaps.append((self._last_beat, now))
-        else:
-            self.longest_gap = max(self.longest_gap, now - self._last_beat)
-        self._last_beat = now
+        # When a silence begins and when it ends, the bridge drops what waits in a pseudo terminal:
+        # heartbeats that it has written in time.
+        times = [self._last_beat, now]
+        if self._last_beat < self._woke_at + _DROPS or now > self._talked_at + _SILENT:
+            times[1:1] = [at for at in self.line.not_arrived if at > self._last_beat]
+        for before, after in zip(times, times[1:]):
+            if after - before >= BEAT_MISSED:
+                self.gaps.append((before, after))
+            else:
+                self.longest_gap = max(self.longest_gap, after - before)
+        self._last_beat = self.beat_at = now
         self.on_beat(now)
 
     def clear_records(self) -> None:
@@ -313,7 +325,7 @@ class Sensors(Board):
         if n % 7 == 0:
             wrapped = pitch = roll = -32768
         self.send(self.frame(codec.SENSORS, struct.pack('<HHhhh', *ranges, wrapped, pitch, roll)))
-        self.send(self.frame(codec.ADC, struct.pack('<6H', *range(n, n + 6))))
+        self.send(self.frame(codec.ADC, struct.pack('<6H', *range(n % 60000, n % 60000 + 6))))
 
     def cliff(self) -> None:
         self._number = n = self._number + 1
@@ -352,7 +364,7 @@ class BusBoard(Board):
         probe: likewise to SYNC and ECHO.
         in_step: False after a reset, until a SYNC.
         lost_echoes: ECHOs since the latest one that returned.
-        checked, faults: requests that needed a fence, and what was wrong about it.
+        check_fence: called for what needs a fence: whether it had one, and a description.
     """
 
     received_frame_at = staticmethod(codec.request_at)
@@ -368,7 +380,7 @@ class BusBoard(Board):
         self.in_step, self.lost_echoes = True, 0
         self.announces = b''
         self.readings = 0
-        self.checked, self.faults = 0, deque(maxlen=100)      # type: int, Deque[str]
+        self.check_fence: Callable[[bool, str], Any] = lambda holds, text: None
         self.on_request: Callable[[Request], None] = self.requests.append
         self.written_at = 0.0
         self._clock = clock
@@ -385,7 +397,7 @@ class BusBoard(Board):
 
     def received(self, frame: codec.Frame, now: float) -> None:
         request = Request(now, *frame.content, self.connection)
-        self._check_fence(request)
+        self._look_for_fence(request)
         self.on_request(request)
         reaction = self._reaction(request)
         if reaction.executes:
@@ -393,19 +405,18 @@ class BusBoard(Board):
         for seconds, reply in reaction.replies:
             self._write_in_order(seconds, reply or self.ok_reply(request))
 
-    def _check_fence(self, request: Request) -> None:
+    def _look_for_fence(self, request: Request) -> None:
         before, self._before = self._before, request
         if request.cmd1 == codec.ECHO:
             if len(request.data) != 4 or request.data in self._nonces:
-                self.faults.append(f'the nonce of {request} is not new, or has not 4 bytes')
+                self.check_fence(False, f'the nonce of {request} is not new, or has not 4 bytes')
             self._nonces.append(request.data)
             self.lost_echoes += 1
         elif request.cmd1 != codec.SYNC and request.cmd2 != HALT:      # a stop needs no fence
-            self.checked += 1
             is_same_poll = before and before.key == request.key and request.cmd2 in POLLS
             is_echoed = before and before.cmd1 == codec.ECHO and before.data in self._echoed
-            if not is_same_poll and not is_echoed and not self._is_silent(before, request.t):
-                self.faults.append(f'{request} came behind {before}')
+            self.check_fence(is_same_poll or is_echoed or self._is_silent(before, request.t),
+                             f'{request} came behind {before}')
 
     def _is_silent(self, before: Optional[Request], now: float) -> bool:
         """Whether a silence is the fence: after three lost ECHOs and a SYNC, or of a board that

@@ -1,7 +1,6 @@
 """Processes beside the bridge. Most of them are separate processes so that they can be suspended:
 
-    subscriber NAME     subscribes to all topics
-    caller NAME         calls the lift for each line "DIRECTION DISTANCE" of stdin; prints results
+    subscriber NAME ... subscribes to these topics
     latching NAME A B   publishes A latched as a command of each type; after a line on stdin B, when
                         A was received
     numbers NAME A      publishes A, A + 1 ... as commands of each type, at 20 Hz
@@ -16,24 +15,17 @@ from xmlrpc.client import ServerProxy
 import rosgraph
 import rospy
 
-from serial_communication.srv import Lift
-from .robot import COMMANDS, NODE, TOPICS, command_of
+from .robot import COMMANDS, NODE, command_of
 
 _PERIOD = 0.01       # s
 
 
-def subscriber() -> None:
-    for topic in [*TOPICS, '/serial_msg', '/diagnostics', '/tf']:
-        rospy.Subscriber(topic.replace('~', NODE + '/'), rospy.AnyMsg, lambda message: None)
+def subscriber(*topics: str) -> None:
+    subscribers = [rospy.Subscriber(topic, rospy.AnyMsg, lambda message: None) for topic in topics]
+    while not all(each.get_num_connections() for each in subscribers):
+        time.sleep(_PERIOD)
     print('ready', flush=True)
     signal.pause()
-
-
-def caller() -> None:
-    print('ready', flush=True)
-    for line in sys.stdin:
-        response = rospy.ServiceProxy(NODE + '/lift', Lift)(*map(int, line.split()))
-        print(f'returned {response.success}', flush=True)
 
 
 def latching(first: str, second: str) -> None:
@@ -74,7 +66,7 @@ if __name__ == '__main__':
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())     # also while it reads stdin
     rospy.init_node(sys.argv[2], disable_rosout=True, disable_signals=True)
     try:
-        {'subscriber': subscriber, 'caller': caller, 'latching': latching,
-         'numbers': numbers}[sys.argv[1]](*sys.argv[3:])
+        roles = {'subscriber': subscriber, 'latching': latching, 'numbers': numbers}
+        roles[sys.argv[1]](*sys.argv[3:])
     finally:
         rospy.signal_shutdown('ended')

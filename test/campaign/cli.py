@@ -6,19 +6,18 @@ import signal
 import sys
 import time
 from argparse import Namespace
-from typing import Any, Dict, Iterable, Iterator, NamedTuple, Optional, Tuple
+from typing import Any, Dict, Iterator, NamedTuple, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
-from . import exact_bus, exact_car, exact_data, exact_faults, exact_node
+from . import exact_bus, exact_car, exact_data, exact_faults, exact_node, exact_time
 from .lines import NetworkLine
 from .requirements import Table
 from .rig import NAMES, Rig, Scenario
 from .storm import Storm
 
 _ROUND = 3600.0              # s of the statistical part between two exact parts
-_ATTEMPTS = 3                # at a scenario of which the machine has spoiled a check
-_TABLE_PERIOD = 10.0         # s
+_ATTEMPTS = 4                # at a scenario that the machine has spoiled
 _PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
 _SWITCH_INTERVAL = 5e-4      # s, of Python's threads
 
@@ -34,7 +33,7 @@ class Group(NamedTuple):
 
 GROUPS = (
     Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
-           *exact_node.SERIAL), events=(
+           *exact_node.SERIAL, *exact_time.SERIAL), events=(
         'arduino: .* refused: .*clos', 'arduino: .* refused: its stamp',
         'arduino: .* refused: .*latches', 'arduino: .* refused: .*old connection',
         'arduino: .* refused: .*calibrates', 'arduino: LED .*refused', 'arduino: .*stalled for',
@@ -64,22 +63,24 @@ def main(options: Namespace) -> int:
     try:
         print(f'seed {options.seed}', file=sys.stderr)
         rig = Rig(table, options.keep, options.bridge)
-        table.on_violation.append(lambda text, _example: text == options.until and _stop())
-        with rig, rig.clock.each(_TABLE_PERIOD, lambda: _write_table(rig)):
+        table.until = options.until
+        # The storm is ended as by Ctrl-C, from any thread.
+        table.on_violation.append(lambda text, _example: table.part == 'storm'
+                                  and text == table.until and os.kill(os.getpid(), signal.SIGINT))
+        with rig:
             print('starting', file=sys.stderr)
             _run(rig, options)
     except KeyboardInterrupt:
         status, error_text = 130, 'stopped'
     except StageError as error:
         status, error_text = 2, f'the campaign does not work: {error}'
-    _report(table, rig, options.json)
+    print(table)
+    if table.failed:        # keep the records
+        print(f'records: {rig.folder}' if rig else 'no records', file=sys.stderr)
+    elif rig:
+        rig.discard()
     print(error_text, end='\n' if error_text else '', file=sys.stderr)
     return status or int(bool(table.failed))
-
-
-def _stop() -> None:
-    """As Ctrl-C, from any thread."""
-    os.kill(os.getpid(), signal.SIGINT)
 
 
 def _run(rig: Rig, options: Namespace) -> None:
@@ -104,7 +105,8 @@ def run_exact(rig: Rig, only: str = '') -> None:
         with _lines(rig, group.network):
             rig.start(group.parameters)
             first = rig.bridge_number
-            carry_out(rig, scenarios)
+            for scenario in scenarios:
+                carry_out(rig, scenario)
         if len(scenarios) == len(group.scenarios):
             rig.logs.check_events(range(first, rig.bridge_number + 1), group.events)
 
@@ -114,7 +116,7 @@ def run_storm(rig: Rig, duration: float, seed: str, busy: int) -> None:
     rig.table.part = 'storm'
     for network in (False, True):
         with _lines(rig, network):
-            carry_out(rig, [Storm(rig, duration / 2, f'{seed} {network}', busy)])
+            _carry_out_once(rig, Storm(rig, duration / 2, f'{seed} {network}', busy))
     rig.table.runs['storm'] += duration / 60
 
 
@@ -132,21 +134,31 @@ def name_of(scenario: Scenario) -> str:
     return f"{scenario.__module__.rpartition('.')[2]}.{scenario.__name__}"
 
 
-def carry_out(rig: Rig, scenarios: Iterable[Scenario]) -> None:
-    """Run them one after the other; those of the exact part again if a check was not decided."""
-    for scenario in scenarios:
-        for _ in range(1 if isinstance(scenario, Storm) else _ATTEMPTS):
-            undecided = rig.table.undecided
-            _carry_out_once(rig, scenario)
-            if rig.table.undecided == undecided:
-                break
+def carry_out(rig: Rig, scenario: Scenario) -> None:
+    """Run a scenario of the exact part; again if a check was not decided, or if something was
+    violated and the machine stalled."""
+    table = rig.table
+    for _ in range(_ATTEMPTS):
+        began, before = time.monotonic(), table.results()
+        violations, undecided = table.total('violations'), table.total('undecided')
+        _carry_out_once(rig, scenario)
+        if table.total('violations') > violations and rig.machine.stalled(began, time.monotonic()):
+            print(*[f'    the machine stalled: {row.examples[-1]}' for row in table.violated],
+                  sep='\n', file=sys.stderr)
+            table.take_back(before)
+        if table.until in [row.text for row in table.violated]:
+            raise KeyboardInterrupt
+        if table.total('undecided') == undecided:
+            break
 
 
 def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
-    """After an exception, which is a violation, there is a new bridge."""
+    """Begins with quiet lines. After an exception, which is a violation, there is a new bridge."""
     print(f'{name_of(scenario)} ...', file=sys.stderr)
     began, error_text = time.monotonic(), ''
     try:
+        if rig.table.part == 'exact':       # the storm starts its own bridge
+            rig.settle()
         scenario(rig)
     except Exception as error:  # pylint: disable=broad-except
         error_text = f'{type(error).__name__}: {error}'
@@ -156,22 +168,3 @@ def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
     if error_text:
         rig.restore()
     rig.check_always()
-
-
-def _write_table(rig: Rig) -> None:
-    with contextlib.suppress(OSError):      # the folder is deleted at the end
-        with open(rig.path('table~'), 'w') as file:
-            print(time.strftime('%F %T'), rig.table, sep='\n', file=file)
-        os.replace(rig.path('table~'), rig.path('table.txt'))
-
-
-def _report(table: Table, rig: Optional[Rig], json_file: str) -> None:
-    """Print the table. Keep the records unless it is green."""
-    print(table)
-    if json_file:
-        with open(json_file, 'w') as file:
-            file.write(table.as_json())
-    if table.failed:
-        print(f'records: {rig.folder}' if rig else 'no records', file=sys.stderr)
-    elif rig:
-        rig.discard()

@@ -4,14 +4,12 @@ import itertools
 import signal
 import struct
 import time
-from concurrent.futures import Future
-from typing import Any, ContextManager, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, ContextManager, NamedTuple, Sequence, Tuple
 
 import by_definition as codec
 from .boards import HALT, MEMORY, OK, PRESS, PROBE, PUMP, PUMP_ROW, Reaction, Request, reply_frame
-from .requirements import MAX_WAIT
 from .rig import MOTION_TIMEOUT, NOISE, POLLED_TOPICS, REPLY_TIMEOUT, Rig
-from .robot import NOT_SENT, Outcome
+from .robot import NODE, NOT_SENT, Outcome
 
 Key = Tuple[int, bytes]     # CMD2 and DATE of a request
 QUEUE_TIME = 0.8         # s that a call may wait for its turn, in addition to its timeout
@@ -89,11 +87,7 @@ class Call(NamedTuple):
 
     service: str
     key: Key             # of its request
-    future: 'Future[Outcome]'
-
-    def result(self) -> Outcome:
-        """Wait until it returns."""
-        return self.future.result(MAX_WAIT)
+    result: Callable[[], Outcome]       # waits until it returns
 
 
 class Calls:
@@ -101,10 +95,6 @@ class Calls:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        refused = rig.row('outcome refused or not sent: not executed')
-        self.outcomes = {'done': rig.row('outcome done: executed exactly once'),
-                         'refused': refused, 'not sent': refused,
-                         'not known': rig.row('outcome not known: executed at most once')}
         self.matches = rig.row('the outcome of a call matches what the board replied')
         self.own_reply = rig.row('no late or doubled reply is used for another request')
         self._numbers = itertools.count(1)
@@ -125,7 +115,7 @@ class Calls:
         """Start a call of the lift, which is executed without a reply."""
         self.rig.bus.react = lambda request: _executed()
         call = self.start('lift')
-        self.outcomes['not known'].wait(lambda: self.rig.bus.executed[call.key], 'it arrives')
+        self.rig.wait(lambda: self.rig.bus.executed[call.key], 'it arrives')
         return call
 
     def call(self, service: str, what: str, wanted: str, limit: float = MOTION_TIMEOUT) -> Outcome:
@@ -140,9 +130,8 @@ class Calls:
         text = f'{what}: {outcome.status} "{outcome.message[:90]}", executed {executed} times'
         self.rig.in_time(self.rig.row('a call returns within timeout + 0.8 s + 0.2 s for ROS'),
                          outcome.began, outcome.ended, limit + QUEUE_TIME + _ROS_TIME, what)
-        self.rig.decide(self.matches, outcome.name in wanted, f'{text}, expected "{wanted}"',
-                        outcome.began, outcome.ended)
-        self.outcomes[outcome.name].check(outcome.is_true(executed), text)
+        self.matches.check(outcome.name in wanted, f'{text}, expected "{wanted}"')
+        outcome.check(self.rig.row, executed, text)
         if outcome.success:
             self.own_reply.check(key[0] != MEMORY or outcome.data == key[1], f'{what}: other data')
         elif outcome.name != 'not known':
@@ -161,14 +150,13 @@ class Calls:
 def outcomes(rig: Rig) -> None:
     """Every service in every case; after each call one that the board refuses, which must fail."""
     calls = Calls(rig)
-    for cases, services in ((CASES, SERVICES), (SESSION_CASES, ('lift', 'press'))):
-        for case, service in itertools.product(cases, services):
-            _try_case(calls, case, service)
+    for case, service in rig.tries(*itertools.product(CASES, SERVICES),
+                                   *itertools.product(SESSION_CASES, ('lift', 'press'))):
+        _try_case(calls, case, service)
 
 
 def _try_case(calls: Calls, case: Case, service: str) -> None:
     rig = calls.rig
-    rig.settle()
 
     def react(request: Request) -> Reaction:
         if request.cmd2 == PROBE:
@@ -194,8 +182,7 @@ def _try_case(calls: Calls, case: Case, service: str) -> None:
 def readings(rig: Rig) -> None:
     """A request that reads is sent again, but its value is that of one reply; long data."""
     again = rig.row('a request that reads is sent again, and published once')
-    for lost in range(3):
-        rig.settle()
+    for lost in rig.tries(*range(3)):
         rig.bus.react = lambda request: _LOST if rig.bus.count(codec.ENVIRONMENT) <= lost \
             else None
         outcome = rig.robot.call('get_environment')
@@ -224,7 +211,6 @@ def never_echoes(rig: Rig) -> None:
     """A board that answers no ECHO: silence is the fence."""
     quiet = rig.row('a board that never echoes: 20 ms of silence before each call')
     calls = Calls(rig)
-    rig.settle()
     _reconnect(rig, codec.ECHO)
     quiet.wait(lambda: rig.robot.call('probe').success, 'calls are possible')
     for index in range(8):
@@ -248,7 +234,6 @@ def unanswered_sync(rig: Rig) -> None:
     """A board that answers no SYNC, and then answers."""
     only = rig.row('until SYNC is answered nothing else is sent')
     calls = Calls(rig)
-    rig.settle()
     _reconnect(rig, codec.SYNC)
     rig.wait(lambda: len(rig.bus.requests) > 2, 'SYNC is repeated')
     calls.call('lift', 'without SYNC', 'not sent', 0.0)
@@ -266,8 +251,8 @@ def queue(rig: Rig) -> None:
     for the queue."""
     required = rig.row('at most one request is outstanding')
     calls = Calls(rig)
-    for delay, wanted, least, most in (0.03, 'done', 8, 8), (0.25, 'done or not sent', 2, 7):
-        rig.settle()
+    for delay, wanted, least, most in rig.tries(
+            (0.03, 'done', 8, 8), (0.25, 'done or not sent', 2, 7)):
         replied_at = [0.0]
 
         def react(request: Request) -> Reaction:
@@ -290,8 +275,7 @@ def interrupted(rig: Rig) -> None:
     """A stop, while a motion and calls behind it wait; also behind noise that never ends."""
     at_once = rig.row('a stop is sent within 50 ms, whatever is outstanding')
     calls = Calls(rig)
-    for noise in (False, False, True):
-        rig.settle()
+    for noise in rig.tries(False, False, True):
         outstanding, behind = calls.start_unanswered(), calls.start('lift')
         rig.sleep(0.1)
         with _dribble(rig) if noise else contextlib.nullcontext():
@@ -305,7 +289,7 @@ def interrupted(rig: Rig) -> None:
             rig.bus.react = rig.bus.probe = None
             calls.check(outstanding, 'interrupted', 'not known', 1.0)
             calls.check(behind, 'behind a stop', 'not sent', 1.0)
-        at_once.check(stop.result(MAX_WAIT).success or noise, 'the stop failed')
+        at_once.check(stop().success or noise, 'the stop failed')
 
 
 def _dribble(rig: Rig) -> ContextManager[None]:
@@ -317,8 +301,7 @@ def _dribble(rig: Rig) -> ContextManager[None]:
 def dribble(rig: Rig) -> None:
     """A false start and a byte each 30 ms, which could hold the link for seconds."""
     calls = Calls(rig)
-    for _ in range(3):
-        rig.settle()
+    for _ in rig.tries(*range(3)):
         with _dribble(rig):
             rig.sleep(0.2)
             outcome = calls.call('bus/request', 'noise', 'done or not known', 0.3)
@@ -330,27 +313,26 @@ def suspended_caller(rig: Rig) -> None:
     """SIGSTOP of a caller while the board executes its request; other callers are served."""
     required = rig.row('a suspended caller delays no other call; its outcome is true')
     calls = Calls(rig)
-    child = rig.user('caller', 'suspended_caller')
-    for index in range(3):
-        rig.settle()
+    for index in rig.tries(*range(3)):
         key = calls.next_key('lift')
         rig.bus.react = lambda request: _executed(0.05)
-        child.order('%d %d' % tuple(key[1]))
+        child = rig.child(f'suspended_caller_{index}', [
+            'rosservice', 'call', f'{NODE}/lift', *map(str, key[1])])
         required.wait(lambda: rig.bus.executed[key], 'the request arrives')
         child.hold()
         for _ in range(3):
             calls.call('bus/request', 'of another caller', 'done')
         child.send(signal.SIGCONT)
-        required.wait(lambda: child.tail().count('returned True') > index, 'the call returns')
-        required.check(rig.bus.executed[key] == 1, f'executed {rig.bus.executed[key]} times')
-    rig.end(child)
+        required.wait(lambda: not child.alive, 'the call returns')
+        required.check('success: True' in child.tail() and rig.bus.executed[key] == 1,
+                       f'{child.tail()}, executed {rig.bus.executed[key]} times')
+        rig.end(child)
 
 
 def announced(rig: Rig) -> None:
     """A board announces a function; another one, which announces nothing, takes its place."""
     required = rig.row('a function is sent only to the board that announced it')
-    for same_port in (True, False):
-        rig.settle()
+    for same_port in rig.tries(True, False):
         rig.bus.announces = PUMP_ROW
         _reconnect(rig)
         required.wait(lambda: rig.robot.call('pump').success, 'the announced function is served')

@@ -39,7 +39,6 @@ DAMAGE = {
 
 def measurements(rig: Rig) -> None:
     """All types of messages of the car and the sensor board, a hundred of each."""
-    rig.settle()
     began, beats = time.monotonic(), rig.car.all_beats
     for number in range(100):
         rig.measure()
@@ -58,8 +57,7 @@ def damaged(rig: Rig) -> None:
     """Invalid frames, each between valid ones; noise before a frame; a false start, and then a byte
     each 30 ms between frames."""
     required = rig.row('every error is counted by cause and costs no valid frame')
-    for link, board in ('arduino', rig.car), ('mcu', rig.sensors):
-        rig.settle()
+    for link, board in rig.tries(('arduino', rig.car), ('mcu', rig.sensors)):
         keys = [key for key, _data in DAMAGE[link]]
         with rig.counted(required, link, {key: keys.count(key) for key in keys}):
             for _key, data in DAMAGE[link]:
@@ -71,10 +69,9 @@ def damaged(rig: Rig) -> None:
             rig.diagnosed(link, 1, 'errors in the last second')
             rig.compare(board)
     count = rig.robot.published['mcu/status'][-1].message.crc_error_count
-    wanted = rig.count('mcu', 'checksum errors')
-    required.check(count == wanted, f'crc_error_count is {count}, in /diagnostics {wanted}')
-    for _ in range(3):
-        rig.settle()
+    wanted = rig.next_report('mcu')[2]['checksum errors']
+    required.check(str(count) == wanted, f'crc_error_count is {count}, in /diagnostics {wanted}')
+    for _ in rig.tries(*range(3)):
         for board, end in (rig.car, b'\0'), (rig.sensors, b''):
             board.line.write(NOISE + end)
             board.measure()
@@ -88,7 +85,6 @@ def damaged(rig: Rig) -> None:
 
 def lost_frames(rig: Rig) -> None:
     """Gaps in SEQ, and doubled frames."""
-    rig.settle()
     rig.sensors.cliff()
     rig.wait(lambda: rig.robot.published['mcu/cliff'], 'the first frame')
     gaps = 0, 1, 0, 5, 200, 0, 254
@@ -107,12 +103,10 @@ def lost_frames(rig: Rig) -> None:
 def false_starts(rig: Rig) -> None:
     """A frame after a false start is published when that times out, with an earlier stamp."""
     required = rig.row('a frame after a false start keeps the stamp of its read')
-    for start in b'\x02', b'\x02\x60', b'\x02\x60\x55':
-        rig.settle()
+    for start in rig.tries(b'\x02', b'\x02\x60', b'\x02\x60\x55'):
         rig.sensors.line.write(start)
         rig.sensors.measure()
-        statuses = rig.robot.published['mcu/status']
-        status = required.wait(lambda: [each for each in statuses if each.key], 'the status')[0]
+        status = required.wait(lambda: rig.robot.values('mcu/status'), 'the status')[0]
         required.check(len(start) == 1 or status.wall - status.stamp >= _FRAME_TIMEOUT - 0.005,
                        f'stamped only {status.wall - status.stamp:.4f} s before it arrived')
 
@@ -165,8 +159,7 @@ def traffic(rig: Rig) -> None:
 def settings(rig: Rig) -> None:
     """Another program changes the settings of the port (stty icrnl)."""
     required = rig.row('changed settings of a tty are restored within 0.3 s')
-    for _ in range(2):
-        rig.settle()
+    for _ in rig.tries(*range(2)):
         with open(rig.car_line.port, 'rb', buffering=0, opener=lambda path, flags: os.open(
                 path, flags | os.O_NOCTTY | os.O_NONBLOCK)) as port:
             changed = termios.tcgetattr(port)
@@ -186,7 +179,6 @@ def settings(rig: Rig) -> None:
 def silent(rig: Rig) -> None:
     """The boards send, and fall silent."""
     reported = rig.row('a silent sensor board: reports each second, no old values')
-    rig.settle()
     rig.car.talks = False
     with rig.clock.each(0.05, rig.measure):
         for link in ('mcu', 'arduino'):
@@ -194,7 +186,7 @@ def silent(rig: Rig) -> None:
     rig.sleep(0.05)         # until the last call has returned
     rig.compare(rig.car, rig.sensors)
     statuses, adc = rig.robot.published['mcu/status'], rig.robot.published['mcu/adc_status']
-    last = [each for each in statuses if each.key][-1]
+    last = rig.robot.values('mcu/status')[-1]
     reported.wait(lambda: statuses[-3].wall > last.wall, 'three reports')
     reports = statuses[-3:]
     for each in reports:

@@ -11,7 +11,6 @@ import by_definition as codec
 from .boards import Reaction, Request, reply_frame
 from .exact_bus import QUEUE_TIME, SERVICES, Calls
 from .exact_car import Drive, check_first, check_repetitions
-from .requirements import MAX_WAIT
 from .rig import AFTER, MOTION_TIMEOUT, STOP_FIRST, Rig
 from .robot import COMMANDS, NOT_SENT
 
@@ -28,8 +27,7 @@ def openings(rig: Rig) -> None:
     also as other devices."""
     returns, sync = rig.row(PORT_RETURNS), rig.row('after a reconnect the first request is SYNC')
     calls, drive = Calls(rig), Drive(rig)
-    for index in range(4):
-        rig.settle()
+    for index in rig.tries(*range(4)):
         made = [calls.start_unanswered()]
         old = [drive.command().number] if index % 2 else []
         for line in rig.lines.values():
@@ -55,7 +53,7 @@ def openings(rig: Rig) -> None:
             rig.wait(lambda: rig.car.beats and len(rig.bus.requests) > count, 'ports are opened')
         calls.check(made[0], 'unplugged', 'not known')
         first = rig.bus.requests[count]
-        for link, at in ('mcu', returned), ('arduino', rig.car.first_beat), ('bus', first.t):
+        for link, at in ('mcu', returned), ('arduino', rig.car.first.t), ('bus', first.t):
             rig.in_time(returns, began, at, _PORT_RETURN, link)
         sync.check(first.cmd1 == codec.SYNC, f'the first request was {first}')
         calls.call('lift', 'after a reconnect', 'done')
@@ -73,7 +71,6 @@ def openings(rig: Rig) -> None:
 def closed(rig: Rig) -> None:
     """The other side of a network closes the connection: with a reset, or without one."""
     returns = rig.row(PORT_RETURNS)
-    rig.settle()
     for link, board in ('arduino', rig.car), ('bus', rig.bus), ('mcu', rig.sensors):
         for close in rig.lines[link].unplug, rig.lines[link].shut_down:
             connection, began = board.connection, time.monotonic()
@@ -88,7 +85,6 @@ def closed(rig: Rig) -> None:
 def silent_network(rig: Rig) -> None:
     """The sensor board's network is cut without a word."""
     required = rig.row('a network port without a byte for network_silence is opened again')
-    rig.settle()
     rig.sensors.measure()
     began, connection = time.monotonic(), rig.sensors.connection + 1
     rig.mcu_line.lose_connection()
@@ -131,13 +127,12 @@ NETWORK_CUTS = tuple(Cut(seconds, begin, _OVER_NETWORK, _UNSEEN, ['speed']) for 
 
 def cuts(rig: Rig) -> None:
     """The car's line takes nothing, or the board behind it reads nothing."""
-    for cut in NETWORK_CUTS if rig.is_network else SERIAL_CUTS:
+    for cut in rig.tries(*(NETWORK_CUTS if rig.is_network else SERIAL_CUTS)):
         _try_cut(rig, cut)
 
 
 def _try_cut(rig: Rig, cut: Cut) -> None:
     required, car, drive = rig.row(cut.requirement), rig.car, Drive(rig)
-    rig.settle()
     drive.command_until_accepted()
     connection = car.connection
     cut.begin(rig)
@@ -182,9 +177,7 @@ def frozen_bus(rig: Rig) -> None:
     """The bus board reads no more, after the fence of a call; the call times out."""
     required = rig.row('a call that timed out unheard does not arrive later')
     calls = Calls(rig)
-    for _ in range(2):
-        rig.settle()
-
+    for _ in rig.tries(*range(2)):
         def probe(request: Request) -> Reaction:
             rig.bus.write(rig.bus.ok_reply(request))
             rig.bus_line.hang()
@@ -203,7 +196,6 @@ def frozen_bus(rig: Rig) -> None:
 
 def short_stall(rig: Rig) -> None:
     """SIGSTOP of the bridge for 0.2 s, while commands and data are sent."""
-    rig.settle()
     rig.car.talks = False
     rig.measure()       # wakes up links that may sleep for 0.1 s
     with rig.suspended() as held_at:
@@ -221,8 +213,7 @@ def short_stall(rig: Rig) -> None:
 def stalls(rig: Rig) -> None:
     """SIGSTOP of the bridge, while commands are published, services called and data sent. A reply
     and data wait; over a network they are dropped with the connection."""
-    for seconds in (0.7, 1.5) if rig.is_network else (0.4, 0.7, 1.2):
-        rig.settle()
+    for seconds in rig.tries(*((0.7, 1.5) if rig.is_network else (0.4, 0.7, 1.2))):
         stale: Tuple[Dict[str, int], ...] = ({}, {}) if rig.is_network else (
             {'stale': 0}, {'stale': 0})
         counted = rig.row('bytes that waited during a stall are dropped, counted as stale')
@@ -233,7 +224,7 @@ def stalls(rig: Rig) -> None:
         required = rig.row('no data from the time of a stall is published over a network') \
             if rig.is_network else counted
         for topic in {each.topic for each in rig.car.sent + rig.sensors.sent}:
-            published = [each.key for each in rig.robot.published[topic] if each.key is not None]
+            published = rig.robot.values(topic)
             required.check(not published, f'{topic}: {published[:3]} was published')
         returns = rig.row('data is published again within 1 s of a stall')
         began = time.monotonic()
@@ -268,7 +259,7 @@ def _stall(rig: Rig, seconds: float) -> None:
         old_calls.check(outcome.status == NOT_SENT and not executed,
                         f'{call.service}: {outcome}, executed {executed} times')
     rig.wait_beats(AFTER)
-    outcome = calibrated.result(MAX_WAIT)
+    outcome = calibrated()
     sent = [each for each in car.packets if each.type == codec.CALIBRATION]
     old_calls.check(not outcome.success and not sent, f'calibrate_imu: {outcome}')
     calls.call('lift', 'after a stall', 'done')
@@ -287,7 +278,6 @@ def resets(rig: Rig) -> None:
     """Each board is reset: its current frame stays incomplete, it is silent, then starts again."""
     required = rig.row('after a reset of the board SYNC brings it in step again')
     calls = Calls(rig)
-    rig.settle()
     rig.car.talks = False
     for board, incomplete in (rig.sensors, b'\x02\x0c\x10\x01'), (rig.car, b'\x05\x07\x01'):
         for _ in range(5):

@@ -39,7 +39,6 @@ POLLING: Dict[str, Any] = {
 def second_bridge(rig: Rig) -> None:
     """Another bridge with the same name is started."""
     required = rig.row('a second bridge with the same name ends; the first continues')
-    rig.settle()
     second = rig.child('second', [*rig.bridge_command, f'__name:={NODE[1:]}'])
     required.wait(lambda: not second.alive, 'it ends')
     required.check(second.process.returncode == 3, f'exit status {second.process.returncode}')
@@ -51,7 +50,7 @@ def second_bridge(rig: Rig) -> None:
 
 def suspended_subscriber(rig: Rig) -> None:
     """SIGSTOP of a subscriber of all topics."""
-    child = rig.user('subscriber', 'suspended_subscriber')
+    child = rig.user('subscriber', 'suspended_subscriber', *rig.robot.topics)
     child.hold()
     measurements(rig)
     rig.end(child)
@@ -61,7 +60,6 @@ def new_master(rig: Rig) -> None:
     """roscore ends, and another one starts at its address."""
     returns = rig.row('topics, services, parameters return within 10 s of a new master')
     continues = rig.row('without a master the ports stay open and commands arrive')
-    rig.settle()
     before = _registered()
     connections = rig.car.connection, rig.bus.connection, rig.sensors.connection
     drive = Drive(rig)
@@ -95,7 +93,6 @@ def killed(rig: Rig) -> None:
     """SIGKILL while the car drives; then another bridge, an absent port, an old latched speed."""
     latched = rig.row(LATCHED)
     absent = rig.row('a port that is absent at the start is opened when it appears')
-    rig.settle()
     drive = Drive(rig)
     number = drive.command().number
     child = rig.user('latching', 'early', 301, 302)
@@ -157,9 +154,8 @@ def _end(rig: Rig, number: int, hang: bool) -> None:
                 f'{what}, not counting {max(waited):.2f} s in which it got no processor')
     rig.end(rig.child_bridge)
     rig.car_line.drain()
-    last, status = rig.car.packets[-1], rig.child_bridge.process.returncode
-    beats = [*rig.car.ended, rig.car.beats][last.connection] - last.beats
-    required.check(last.is_stop and not beats, f'{what}: {beats} heartbeats after {last}')
+    last, status = rig.car.last, rig.child_bridge.process.returncode
+    required.check(last.is_stop, f'{what}: the last packet was {last}')
     required.check(status == 0, f'{what}: its exit status is {status}')
     rig.check_always()
     for line in lines if hang else ():
@@ -183,8 +179,7 @@ def announcements(rig: Rig) -> None:
     then it is flashed."""
     required = rig.row('the rows of the last whole text are in use, no others')
     again = rig.row('no command and no value after a reconnect, until announced again')
-    for type_ in 70, 72, 74:
-        rig.settle()
+    for type_ in rig.tries(70, 72, 74):
         hoist, gauge = f'hoist_{type_}', f'gauge_{type_ + 1}'
         text = _ROWS % (type_, type_, type_ + 1, type_ + 1)
         wrong = [chunk[:2] + b'\x12\x34' + chunk[4:] for chunk in codec.announcement(text, 50)]

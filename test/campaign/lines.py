@@ -1,40 +1,36 @@
 """The lines to the bridge, held at their far ends. All that can happen to a line is a method."""
+import asyncio
 import contextlib
-import ctypes
-import itertools
+import functools
 import os
 import pty
-import sched
 import select
 import socket
-import struct
 import threading
 import time
 import tty
 from typing import Any, Callable, Iterator, List
 
-_LIBC = ctypes.CDLL(None)
-_MODIFIED = 2            # an event of inotify
+from .writes import Writes
+
 _POLL = 20               # ms that a reader waits at most until it checks the line's state
-_TICK = 0.002            # s
 _SIZE = 65536            # bytes of one read
 _PTY_DELAY = 0.05        # s that the kernel may take to move bytes through a pseudo terminal
+_NOTED = 0.003           # s after the read of a frame until its write is known
 
 
-class Clock(threading.Thread):
-    """Calls functions at given times of `time.monotonic`; those of one time in order."""
+class Clock:
+    """Calls functions at given times of `time.monotonic`, in a thread of its own."""
 
     def __init__(self) -> None:
-        super().__init__(name='clock', daemon=True)
-        self._due = sched.scheduler(time.monotonic)
-        self._numbers = itertools.count()
-        self.start()
+        self._loop = asyncio.new_event_loop()
+        threading.Thread(target=self._loop.run_forever, name='clock', daemon=True).start()
 
     def after(self, seconds: float, action: Callable[[], None]) -> None:
         self.at(time.monotonic() + seconds, action)
 
     def at(self, when: float, action: Callable[[], None]) -> None:
-        self._due.enterabs(when, next(self._numbers), action)
+        self._loop.call_soon_threadsafe(self._loop.call_at, when, action)
 
     @contextlib.contextmanager
     def each(self, period: float, action: Callable[[], Any]) -> Iterator[None]:
@@ -51,21 +47,15 @@ class Clock(threading.Thread):
         finally:
             active.clear()
 
-    def run(self) -> None:
-        while True:
-            self._due.run(blocking=False)
-            time.sleep(_TICK)
-
 
 class SerialLine(threading.Thread):
     """A pseudo terminal with a fixed name, `port`, which the bridge opens.
 
-    The kernel moves its bytes in a thread of ordinary priority, so on a busy machine they are read
-    late, by up to 0.2 s. But it tells at once (inotify) when a program has written to the device.
-
     Attributes:
         on_bytes: called with what the bridge wrote, and when it was read by `time.monotonic`.
+        not_arrived: when the bridge wrote what was not read before the latest frames.
         on_unplugged: called when the line is unplugged.
+        on_moved: called with when the bridge wrote a frame, and when it was read.
         damage: returns what the bridge receives for bytes that the board sends.
     """
 
@@ -74,17 +64,20 @@ class SerialLine(threading.Thread):
         self.port = path
         self.on_bytes: Callable[[bytes, float], None] = lambda data, now: None
         self.on_unplugged: Callable[[], None] = lambda: None
+        self.on_moved: Callable[[float, float], None] = lambda written, now: None
         self.damage: Callable[[bytes], bytes] = lambda data: data
         self.frozen = False
         self._master = self._listener = -1
         self._device = ''        # name of `slave`, which is the bridge's end
         self._lock = threading.RLock()
         self._bytes_read = 0
-        self._writes: List[float] = []      # when the bridge wrote, since the latest frame was read
-        self._events = _LIBC.inotify_init1(0)
-        threading.Thread(target=self._note_writes, name=f'{self.name}~', daemon=True).start()
+        self.not_arrived: List[float] = []
         self.plug()
         self.start()
+
+    @functools.cached_property
+    def _writes(self) -> Writes:
+        return Writes()
 
     def plug(self, another_name: bool = False) -> None:
         """Make the port appear; with `another_name` it is another device than before."""
@@ -98,8 +91,7 @@ class SerialLine(threading.Thread):
             self._device = os.ttyname(self.slave)
             tty.setraw(self.slave)
             os.set_blocking(self._master, False)
-            self._writes.clear()
-            _LIBC.inotify_add_watch(self._events, self._device.encode(), _MODIFIED)
+            self._writes.watch(self._device)
             os.symlink(self._device, self.port + '~')
             os.replace(self.port + '~', self.port)
 
@@ -140,7 +132,7 @@ class SerialLine(threading.Thread):
         self.fill(2 * 4096)
 
     def thaw(self) -> None:
-        self._writes.clear()
+        self._writes.next()
         self.frozen = False
 
     def drain(self) -> None:
@@ -173,20 +165,18 @@ class SerialLine(threading.Thread):
                 self._bytes_read += len(data)
                 self.on_bytes(data, time.monotonic())
 
-    def _note_writes(self) -> None:
-        while True:
-            events, now = os.read(self._events, 4096), time.monotonic()
-            for _watch, kind, _cookie, _size in struct.iter_unpack('iIII', events):
-                if kind == _MODIFIED and not self.frozen:
-                    self._writes.append(now)
-
     def written(self, frames: int, now: float) -> List[float]:
-        """When the bridge wrote so many frames that are read now: its latest writes until now. A
-        frame that is read before its write is known has the time of the read."""
-        times: List[float] = []
-        if frames:
-            times, self._writes = self._writes[-frames:], []
-        return times + [now] * (frames - len(times))
+        """When the bridge wrote so many frames that are read now: its latest writes. Of several
+        frames in one write, or of one that is not noted, it is the time of another one."""
+        if not frames:
+            return []
+        times = self._writes.next()
+        while len(times) < frames and time.monotonic() < now + _NOTED:
+            times += self._writes.next(_NOTED)
+        times = [min(each, now) for each in times] or [now]
+        self.not_arrived, found = times[:max(0, len(times) - frames)], times[-frames:]
+        self.on_moved(found[0], now)
+        return found[:1] * (frames - len(found)) + found
 
     def run(self) -> None:
         while True:
@@ -233,6 +223,9 @@ class NetworkLine(SerialLine):
 
     def write(self, data: bytes) -> bool:
         return not self.frozen and super().write(data)
+
+    def written(self, frames: int, now: float) -> List[float]:
+        return [now] * frames
 
     def shut_down(self) -> None:
         """End the connection as a program does that sends no more, but reads on: no reset."""

@@ -3,6 +3,7 @@ import glob
 import os
 import re
 import time
+from collections import defaultdict
 from pathlib import Path
 from typing import Callable, Dict, Iterable, List, Tuple
 
@@ -30,21 +31,6 @@ def cause_of(text: str) -> Tuple[str, str]:
     return link, _VARYING.sub('#', rest)[:60]
 
 
-class NewLines:
-    """The complete lines that were written to a file since they were last read."""
-
-    def __init__(self, path: str) -> None:
-        self._path = path
-        self._position = 0
-
-    def read(self) -> List[str]:
-        with open(self._path, 'rb') as file:
-            file.seek(self._position)
-            complete = file.read().rpartition(b'\n')[0]
-        self._position += len(complete) + bool(complete)
-        return complete.decode(errors='replace').splitlines()
-
-
 class LogCheck:
     """Checks the log files and the terminal output of all bridges in `folder`."""
 
@@ -54,17 +40,25 @@ class LogCheck:
         self._faults = row('no traceback and no stuck link in the log')
         self._terminal = row('the terminal shows the log and nothing else')
         self._events = row('what happened is in the log')
-        self._files: Dict[str, NewLines] = {}
+        self._read: Dict[str, int] = defaultdict(int)      # bytes of each file
         self._last: Dict[Tuple[str, str, str], float] = {}     # by file, link and cause
         self._by_bridge = True      # whether the bridge wrote the latest line, not rospy
 
     def check_new_lines(self) -> None:
         for path in glob.glob(os.path.join(self.folder, 'bridge_*')):
-            for line in self._files.setdefault(path, NewLines(path)).read():
+            for line in self._new_lines(path):
                 if path.endswith('.log'):
                     self._check_line(path, line)
                 else:
                     self._terminal.check(_TERMINAL.match(line), f'{path}: {line}')
+
+    def _new_lines(self, path: str) -> List[str]:
+        """The complete lines that were written since it was last read."""
+        with open(path, 'rb') as file:
+            file.seek(self._read[path])
+            complete = file.read().rpartition(b'\n')[0]
+        self._read[path] += len(complete) + bool(complete)
+        return complete.decode(errors='replace').splitlines()
 
     def check_events(self, bridges: Iterable[int], patterns: Iterable[str]) -> None:
         """Check that the logs of these bridges have a line for each of these patterns."""

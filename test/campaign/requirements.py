@@ -1,5 +1,4 @@
 """The requirements that a campaign checks, their results, and the table of them."""
-import json
 import math
 import threading
 import time
@@ -23,8 +22,8 @@ class Requirement:
         self.checks = self.violations = 0
         self.undecided = 0      # checks without a result, since a witness was late, too
         self.examples: List[str] = []       # descriptions of the first violations
-        self.violated_at = 0.0
-        self.worst, self._unit = float('-inf'), ''
+        self._violated_at = 0.0
+        self._worst, self._unit = float('-inf'), ''
         self._lock = threading.Lock()
 
     def check(self, holds: Any, text: str) -> bool:
@@ -32,9 +31,9 @@ class Requirement:
         with self._lock:
             self.checks += 1
             if not holds:
-                self.violated_at = self.violated_at or time.monotonic()
+                self._violated_at = self._violated_at or time.monotonic()
                 self.violations += 1
-                self.examples += [text[:300]] if len(self.examples) < _EXAMPLES else []
+                self.examples = [*self.examples, text[:300]][:_EXAMPLES]
         if not holds:
             for on_violation in list(self._table.on_violation):
                 on_violation(self.text, text)
@@ -46,7 +45,7 @@ class Requirement:
         return self.check(value <= limit, f'{text}: {value:.4g} {unit}, limit {limit:g} {unit}')
 
     def keep_worst(self, value: float, unit: str) -> None:
-        self.worst, self._unit = max(self.worst, value), unit
+        self._worst, self._unit = max(self._worst, value), unit
 
     def wait(self, condition: Callable[[], Any], text: str, seconds: float = MAX_WAIT) -> Any:
         """Check that `condition()` becomes true within `seconds`; StageError if it does not."""
@@ -60,7 +59,7 @@ class Requirement:
 
     @property
     def worst_case(self) -> str:
-        return f'{self.worst:.4g} {self._unit}' if self.worst > float('-inf') else ''
+        return f'{self._worst:.4g} {self._unit}' if self._worst > float('-inf') else ''
 
     @property
     def least(self) -> int:
@@ -74,7 +73,9 @@ class Requirement:
     @property
     def failure(self) -> str:
         """Why it is not fulfilled, if so."""
-        return ('VIOLATED' if self.violations else 'NOT TRIED ENOUGH' if self.checks < self.least
+        if self.violations:
+            return f'VIOLATED after {self._violated_at - self._table.began:.1f} s'
+        return ('NOT TRIED ENOUGH' if self.checks < self.least
                 else 'NOT DECIDED TOO OFTEN' if self.is_undecided else '')
 
 
@@ -88,14 +89,15 @@ class Table:
         on_violation: called with a requirement and what has violated it.
         part: the part that runs now, `exact` or `storm`.
         runs: how often each part was run; of the storm the minutes.
+        until: the requirement whose violation ends the campaign.
     """
 
     def __init__(self) -> None:
         self.on_violation: List[Callable[[str, str], Any]] = []
-        self.part = 'exact'
+        self.part, self.until = 'exact', ''
         self.runs: Dict[str, float] = {'exact': 0, 'storm': 0}
         self._rows: Dict[Tuple[str, str], Requirement] = {}
-        self._began = time.monotonic()
+        self.began = time.monotonic()
         group = ''
         for line in Path(__file__).with_name('rows.txt').read_text().splitlines():
             if line.startswith(' '):
@@ -119,9 +121,19 @@ class Table:
         """Those that were checked, or should have been."""
         return [each for each in self.rows if each.checks or each.undecided or each.least]
 
-    @property
-    def undecided(self) -> int:
-        return sum(each.undecided for each in self.rows)
+    def total(self, what: str) -> int:
+        """Of all requirements the `violations`, or what is `undecided`."""
+        return sum(getattr(each, what) for each in self.rows)
+
+    def results(self) -> Dict[Requirement, Dict[str, Any]]:
+        """All results so far, for `take_back`."""
+        return {row: dict(vars(row)) for row in self.rows}
+
+    def take_back(self, results: Dict[Requirement, Dict[str, Any]]) -> None:
+        """Forget all later results; what has been violated since then is not decided."""
+        for row, before in results.items():
+            undecided = row.undecided + (row.violations > before['violations'])
+            vars(row).update(before, undecided=undecided)
 
     @property
     def violated(self) -> List[Requirement]:
@@ -154,13 +166,5 @@ class Table:
                  else 'only a part of the scenarios was run')
         too_often = sum(each.is_undecided for each in self.used)
         return (f'{len(self.used)} requirements, {tried}; {len(self.violated)} violated; '
-                f'{self.undecided} checks not decided' + (
+                f'{self.total("undecided")} checks not decided' + (
                     f', too many of {too_often} requirements' if too_often else ''))
-
-    def as_json(self) -> str:
-        return json.dumps([{
-            'group': each.group, 'requirement': each.text, 'least': each.least,
-            'checks': each.checks, 'violations': each.violations, 'not decided': each.undecided,
-            'failure': each.failure, 'worst case': each.worst_case, 'examples': each.examples,
-            'violated after': round(each.violated_at - self._began, 1) if each.violations else None}
-            for each in self.used], indent=1)

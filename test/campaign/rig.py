@@ -2,19 +2,19 @@
 import contextlib
 import itertools
 import json
-import os
 import signal
 import sys
 import time
 from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
 
 from processes import Child, Stage, StageError
+from witness import LATE
 from .boards import BEAT_MISSED, CUSTOM, Board, BusBoard, Car, Sensors, Sent
 from .lines import Clock, NetworkLine, SerialLine
 from .logs import LogCheck
+from .machine import MARGIN, Machine
 from .requirements import Requirement, Table
 from .robot import FRAMES, TOPICS, Published, Robot
-from .witness import LATE, MARGIN, LineWitness, Witness
 
 REPLY_TIMEOUT = 0.3      # s: parameters of the bridge
 MOTION_TIMEOUT = SPEED_TIMEOUT = 0.5
@@ -27,6 +27,7 @@ POLLED_TOPICS = '~depth', '~height', '~environment', '~environment/temperature',
 
 STOP_FIRST = 'SPEED 0 is the first packet whenever the port opens'
 LATCHED = 'an old latched command is refused, a new one is sent'
+FENCED = 'a fence, an ECHO with a fresh nonce, precedes every call'
 PUBLISHED = 'every valid frame is published once, in order, unchanged'
 
 AFTER = 0.6              # s until a packet that must not arrive would have arrived
@@ -35,8 +36,6 @@ NOISE = bytes(byte for byte in range(256) if byte not in b'\xA5\x5A\x02\x00')[:2
 NAMES = 'bus', 'arduino', 'mcu'      # of the links
 _QUIET = 0.2             # s without a packet to the car after which its line is quiet
 _ROUNDING = 1e-4         # s, of stamps
-_BRIDGE_PRIORITY = 1     # the lowest real-time priority of a thread of the bridge
-_STALL = 0.2             # s by which a witness has to be late to excuse lost data
 
 
 class Rig(Stage):
@@ -48,18 +47,12 @@ class Rig(Stage):
         self.table, self.row = table, table.row
         self.clock = Clock()
         self.logs = LogCheck(self.folder, self.row)
-        self.bridge_number = 0
+        self.bridge_number, self._numbers = 0, itertools.count()
 
     def __enter__(self) -> 'Rig':
         super().__enter__()
-        self.robot = Robot()
+        self.robot, self.machine = Robot(), Machine()
         self.use_lines({name: SerialLine(self.path(name)) for name in NAMES})
-        self._witnesses = [Witness(lambda memory: self.child(
-            f'witness_{processor}', [sys.executable, '-m', f'{__package__}.witness', str(memory),
-                                     str(processor)], priority=_BRIDGE_PRIORITY, fds=(memory,)))
-                           for processor in os.sched_getaffinity(0)]
-        self._line_witness = LineWitness()
-        self._permanent = {*self.children}
         return self
 
     def use_lines(self, lines: Dict[str, SerialLine]) -> None:
@@ -71,6 +64,10 @@ class Rig(Stage):
         self.is_network = isinstance(self.car_line, NetworkLine)
         self.car, self.bus = Car(self.car_line, self.clock), BusBoard(self.bus_line, self.clock)
         self.sensors = Sensors(self.mcu_line)
+        self._checked_beats = 0
+        self.bus.check_fence = lambda holds, text: self.row(FENCED).check(holds, text)
+        for line in lines.values():
+            line.on_moved = self.machine.moved
 
     def start(self, parameters: Dict[str, Any] = {}) -> None:
         """Start a bridge with these parameters besides `PARAMETERS`; wait until it works."""
@@ -90,51 +87,31 @@ class Rig(Stage):
         self.check_always()
 
     def check_always(self) -> None:
-        """Check what holds at any time: the logs, the heartbeats, the fences on the bus."""
+        """Check what holds at any time: the logs and the heartbeats."""
         self.logs.check_new_lines()
         required = self.row('no gap of 30 ms between heartbeats, whatever else happens')
         required.keep_worst(self.car.longest_gap * 1e3, 'ms')
-        required.checks += self.car.all_beats
-        gaps, self.car.gaps, self.car.all_beats = self.car.gaps, [], 0
+        required.checks += self.car.all_beats - self._checked_beats
+        gaps, self.car.gaps, self._checked_beats = self.car.gaps, [], self.car.all_beats
         for since, until in gaps:
             self.in_time(required, since, until, BEAT_MISSED, f'at {since:.3f}')
-        fences = self.row('a fence, an ECHO with a fresh nonce, precedes every call')
-        fences.checks, self.bus.checked = fences.checks + self.bus.checked, 0
-        while self.bus.faults:
-            fences.check(False, self.bus.faults.popleft())
-
-    def excuses(self, since: float, until: float, seconds: float = LATE) -> bool:
-        """Whether a witness was so late in this time, or `witness.MARGIN` beside it."""
-        return max([each.longest(since, until) for each in self._witnesses]) >= seconds
-
-    def may_lose(self, since: float, until: float) -> bool:
-        """Whether the machine was so late in this time that the bridge may have dropped values."""
-        return self.excuses(since, until, _STALL) or \
-            self._line_witness.longest(since, until) >= _STALL
-
-    def decide(self, required: Requirement, holds: bool, text: str, since: float, until: float,
-               excess: float = 0.0) -> None:
-        """Check what the machine can spoil: it is not decided if a witness was late, too, and by so
-        many seconds, not counting `MARGIN`."""
-        if not holds and self.excuses(since, until, max(LATE, excess - MARGIN)):
-            required.undecided += 1
-        else:
-            required.check(holds, text)
 
     def in_time(self, required: Requirement, since: float, until: float, limit: float, text: str,
                 least: float = 0.0) -> None:
-        """Check the time between two events, in s."""
+        """Check the time between two events, in s. It is not decided if a witness was late, too,
+        and by as much as the limit was exceeded by, not counting `MARGIN`."""
         seconds = until - since
         excess = max(seconds - limit, least - seconds)
-        if excess <= 0:
+        if excess > 0 and self.machine.late(since, until) >= max(LATE, excess - MARGIN):
+            required.undecided += 1
+        elif required.check(excess <= 0, f'{text}: {seconds * 1e3:.1f} ms, {least * 1e3:g} to '
+                            f'{limit * 1e3:g} ms allowed'):
             required.keep_worst(seconds * 1e3, 'ms')
-        self.decide(required, excess <= 0, f'{text}: {seconds * 1e3:.1f} ms, {least * 1e3:g} to '
-                    f'{limit * 1e3:g} ms allowed', since, until, excess)
 
     def wait_for_bridge(self) -> None:
         """Until it serves every link that is plugged in, and is connected to the robot."""
-        child, topics = self.child_bridge, set(TOPICS) - set(POLLED_TOPICS[:2])
-        self.wait(lambda: not child.alive or self.robot.connected(topics)
+        child = self.child_bridge
+        self.wait(lambda: not child.alive or self.robot.connected
                   and (not self.car_line.plugged or self.car.beats > 20), 'the bridge is up')
         self.check(child)
         self.wait_in_step()
@@ -145,8 +122,7 @@ class Rig(Stage):
     def restore(self) -> None:
         """After a scenario that failed: no children, all lines as before, another bridge."""
         self.child_bridge.send(signal.SIGKILL)
-        for child in set(self.children) - self._permanent:
-            self.end(child)
+        self.clear()
         self.bus.usual()
         self.car.talks = True
         for line in self.lines.values():
@@ -156,14 +132,13 @@ class Rig(Stage):
             line.plug()
         self.start(self._parameters)
 
-    def user(self, role: str, name: str, *arguments: Any, ready: bool = True,
-             **options: Any) -> Child:
+    def user(self, role: str, name: str, *arguments: Any) -> Child:
         """Start a process of children.py; wait until it is ready."""
-        child = self.child(name, [sys.executable, '-m', __package__ + '.children', role, name,
-                                  *map(str, arguments)], orders=True, **options)
-        if ready:
-            self.wait(lambda: 'ready' in child.tail() or not child.alive, name)
-            self.check(child)
+        child = self.child(f'{name}_{next(self._numbers)}', [
+            sys.executable, '-m', __package__ + '.children', role, name, *map(str, arguments)],
+                           orders=True)
+        self.wait(lambda: 'ready' in child.tail() or not child.alive, name)
+        self.check(child)
         return child
 
     @contextlib.contextmanager
@@ -184,11 +159,12 @@ class Rig(Stage):
             # Until the bridge has dropped what waited meanwhile.
             self.car.quiet_until = time.monotonic() + 0.8
 
-    def wait_beats(self, seconds: float) -> None:
-        """Wait so long, and for a heartbeat and what the bridge sent before it."""
-        self.sleep(seconds)
-        beats = self.car.all_beats
-        self.wait(lambda: self.car.all_beats > beats or not self.car_line.plugged, 'a heartbeat')
+    def wait_beats(self, seconds: float, since: float = 0.0) -> None:
+        """Wait so long, or so long since then, and for a heartbeat that the bridge wrote later and
+        what it wrote before that, however long the kernel delays them."""
+        until = (since or time.monotonic()) + seconds
+        self.sleep(until - time.monotonic())
+        self.wait(lambda: self.car.beat_at > until or not self.car_line.plugged, 'a heartbeat')
 
     def sleep(self, seconds: float) -> None:
         """Wait until `clock` has called all that is due in this time."""
@@ -205,7 +181,12 @@ class Rig(Stage):
                   or time.monotonic() > self.car.packets[-1].t + _QUIET, "the car's line is quiet")
         self.row(PUBLISHED).wait(self._passes_values, 'measurements are published')
         self.clear_records()
-        self._settled_at = time.monotonic()
+
+    def tries(self, *values: Any) -> Iterator:
+        """The values for tries; settles before each."""
+        for value in values:
+            self.settle()
+            yield value
 
     def _passes_values(self) -> Any:
         """Send a value for each topic: when it is published, no earlier one can be any more."""
@@ -227,12 +208,8 @@ class Rig(Stage):
 
     def wait_for_data(self, topic: str, measure: Callable[[], None], required: Requirement) -> None:
         count = len(self.robot.published[topic])
-
-        def is_published() -> bool:
-            measure()
-            self.wait_beats(0.02)
-            return len(self.robot.published[topic]) > count
-        required.wait(is_published, f'{topic} is published')
+        required.wait(lambda: measure() or self.wait_beats(0.02)
+                      or len(self.robot.published[topic]) > count, f'{topic} is published')
 
     def next_report(self, link: str) -> Tuple[int, str, Dict[str, str]]:
         """Level, message and values of the next status of a link in /diagnostics."""
@@ -243,29 +220,22 @@ class Rig(Stage):
     def diagnosed(self, link: str, level: int, words: str) -> None:
         """Check that /diagnostics soon shows this level and these words for a link."""
         def shows() -> bool:
-            found = self.next_report(link)
-            return found[0] == level and words in found[1]
+            found, text, _values = self.next_report(link)
+            return found == level and words in text
         self.row('level and words in /diagnostics are true').wait(
             shows, f'/diagnostics: {link} has level {level} and says "{words}"', 6.0)
 
     @contextlib.contextmanager
     def counted(self, required: Requirement, link: str, wanted: Dict[str, int]) -> Iterator[None]:
         """Check that these counters in /diagnostics grow by exactly these numbers meanwhile."""
-        def counters() -> Dict[str, int]:
-            values = self.next_report(link)[2]
-            return {key: int(values[key]) for key in wanted}
-        before = counters()
+        before = self.next_report(link)[2]
         yield
         for _ in range(2):      # the next report may be from before the event
-            after = counters()
-            grown = {key: after[key] - before[key] for key in wanted}
+            after = self.next_report(link)[2]
+            grown = {key: int(after[key]) - int(before[key]) for key in wanted}
             if grown == wanted:
                 break
         required.check(grown == wanted, f'{link}: counted {grown}, expected {wanted}')
-
-    def count(self, link: str, key: str) -> int:
-        """A counter in the next status of a link in /diagnostics."""
-        return int(self.next_report(link)[2][key])
 
     def compare(self, *boards: Board) -> None:
         """Compare what these boards sent since `settle` with what was published, and its stamps."""
@@ -274,15 +244,10 @@ class Rig(Stage):
                                   if each.topic == topic])
 
     def _compare(self, topic: str, sent: Sequence[Sent]) -> None:
-        def published() -> List[Published]:     # without the reports of a silent board
-            return [each for each in self.robot.published[topic] if each.key is not None]
         with contextlib.suppress(StageError):
-            self.wait(lambda: len(published()) >= len(sent), '', UNTIL_PUBLISHED)
-        required, found = self.row(PUBLISHED), published()
-        if len(found) < len(sent) and self.may_lose(self._settled_at, time.monotonic()):
-            required.undecided += 1
-            return
-        for one, message in itertools.zip_longest(sent, found):
+            self.wait(lambda: len(self.robot.values(topic)) >= len(sent), '', UNTIL_PUBLISHED)
+        required = self.row(PUBLISHED)
+        for one, message in itertools.zip_longest(sent, self.robot.values(topic)):
             if not required.check(one and message and one.key == message.key,
                                   f'{topic}: {one} sent, {message} published'):
                 return

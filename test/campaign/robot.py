@@ -2,9 +2,9 @@
 import math
 import operator
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,8 +19,10 @@ from serial_communication.msg import (Environment, McuStatus, McuStatus2, Serial
                                       Voltage)
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 from .boards import Sent, range_key, unit_key, wire_number
+from .requirements import MAX_WAIT, Requirement
 
 NODE = '/serial_communication'
+_OF_POLLS = f'{NODE}/depth', f'{NODE}/height'
 TIMEOUT, NOT_SENT = 254, 253     # status of the bus services
 _GYRO = 4000 / 65536 * math.pi / 180 * 25
 _ACCELERATION = 8 / 65536 * 9.81
@@ -59,9 +61,13 @@ class Outcome(NamedTuple):
         status = {TIMEOUT: 'not known', NOT_SENT: 'not sent'}.get(self.status, 'refused')
         return 'done' if self.success else status
 
-    def is_true(self, executed: int) -> bool:
-        """Whether the board may have executed the request so often."""
-        return {'done': executed == 1, 'not known': executed <= 1}.get(self.name, not executed)
+    def check(self, row: Callable[[str], Requirement], executed: int, text: str) -> None:
+        """Check it against how often the board has executed the request."""
+        requirement, holds = {
+            'done': ('outcome done: executed exactly once', executed == 1),
+            'not known': ('outcome not known: executed at most once', executed <= 1),
+        }.get(self.name, ('outcome refused or not sent: not executed', not executed))
+        row(requirement).check(holds, text)
 
 
 # -- published values as the numbers on the wire -------------------------------------------------
@@ -161,12 +167,12 @@ class Robot:
         self._publishers = {
             name: rospy.Publisher(f'{NODE}/{name}', kind, queue_size=100, tcp_nodelay=True)
             for name, (kind, _field) in COMMANDS.items()}
-        self._subscribers = {
-            topic: rospy.Subscriber(topic.replace('~', NODE + '/'), kind, self._receive,
-                                    (topic, to_key), tcp_nodelay=True)
-            for topic, (kind, to_key) in TOPICS.items() if kind}
-        rospy.Subscriber('/tf', TFMessage, self._receive_transforms, tcp_nodelay=True)
-        rospy.Subscriber('/diagnostics', DiagnosticArray, self._receive_report)
+        self._subscribers = [
+            *(rospy.Subscriber(topic.replace('~', NODE + '/'), kind, self._receive,
+                               (topic, to_key), tcp_nodelay=True)
+              for topic, (kind, to_key) in TOPICS.items() if kind),
+            rospy.Subscriber('/tf', TFMessage, self._receive_transforms, tcp_nodelay=True),
+            rospy.Subscriber('/diagnostics', DiagnosticArray, self._receive_report)]
 
     def clear_records(self) -> None:
         for messages in self.published.values():
@@ -175,6 +181,10 @@ class Robot:
     def has(self, sent: Sent) -> bool:
         return any(each.key == sent.key and (not each.stamp or each.stamp >= sent.wall)
                    for each in list(self.published[sent.topic]))
+
+    def values(self, topic: str) -> List[Published]:
+        """What was published, without the reports of a silent board."""
+        return [each for each in list(self.published[topic]) if each.key is not None]
 
     def keep(self, topic: str, message: Published) -> None:
         self.published[topic].append(message)
@@ -206,10 +216,16 @@ class Robot:
         """Publish a command; `stamp` is ROS time."""
         self._publishers[name].publish(command_of(name, value, stamp))
 
-    def connected(self, topics: Iterable[str]) -> bool:
-        """Whether the bridge receives all commands, and this node receives these topics."""
-        used = [self._subscribers[topic] for topic in topics if topic in self._subscribers]
-        return all(each.get_num_connections() for each in (*self._publishers.values(), *used))
+    @property
+    def connected(self) -> bool:
+        """Whether the bridge receives all commands, and this node all topics but those of polls."""
+        return all(each.get_num_connections() for each in (
+            *self._publishers.values(), *self._subscribers) if each.name not in _OF_POLLS)
+
+    @property
+    def topics(self) -> List[str]:
+        """Those that the bridge publishes now."""
+        return [each.name for each in self._subscribers if each.get_num_connections()]
 
     def register_again(self) -> None:
         """Register with a new master; rospy itself registers only once."""
@@ -232,5 +248,7 @@ class Robot:
                        bytes(getattr(response, 'data', b'')), getattr(response, 'error_code', 0),
                        _environment(getattr(response, 'environment', Environment())), now)
 
-    def start_call(self, service: str, *arguments: Any) -> 'Future[Outcome]':
-        return self._pool.submit(self.call, service, *arguments)
+    def start_call(self, service: str, *arguments: Any) -> Callable[[], Outcome]:
+        """Start a call; return a function that waits for its outcome."""
+        future = self._pool.submit(self.call, service, *arguments)
+        return lambda: future.result(MAX_WAIT)

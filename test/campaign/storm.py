@@ -12,11 +12,7 @@ import struct
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any, Deque, Dict, Optional, Set, Tuple
-from xmlrpc.client import ServerProxy
-
-import rosgraph
-import rospy
+from typing import Any, Deque, Dict, Optional, Tuple
 
 import by_definition as codec
 from .boards import DEPTH, HEIGHT, Board, Reaction, Request, reply_frame
@@ -24,7 +20,6 @@ from .damage import DamagedLine
 from .exact_node import POLLING
 from .lines import NetworkLine
 from .rig import MOTION_TIMEOUT, Rig
-from .robot import NODE
 from .storm_checks import CallCheck, GrowthCheck, MotorCheck, ValueCheck
 
 _DAMAGE_SHARE = 0.03     # of the frames
@@ -32,16 +27,10 @@ _STALLS = 0.2, 0.4, 0.7, 1.2     # s for which the bridge is suspended
 # s for which a network is frozen; that of the bus not until three ECHOs are lost.
 _FREEZES = {'bus': (0.2, 0.5), 'arduino': (0.3, 1.0, 2.0, 5.0), 'mcu': (0.3, 1.0, 3.0, 6.0)}
 _MEASURE_PERIOD = 0.02   # s
+_USAGE_PERIOD = 0.5      # s
 _RECORDS = 20000         # records that are kept to be written at the first violation
 _REFUSED = reply_frame(codec.INVALID, bytes((codec.BAD_CHECKSUM,)))
 _FAILED = reply_frame(codec.ERROR, struct.pack('<H', codec.FAILED))
-
-
-def _subscribed(node: str) -> Set[str]:
-    """The topics of the bridge to which this node is connected."""
-    bridge = ServerProxy(rosgraph.Master('/campaign').lookupNode(NODE))
-    return {topic for _id, name, direction, _transport, topic, *_ in bridge.getBusInfo('')[2]
-            if name == node and direction == 'o'}
 
 
 class Storm:
@@ -67,9 +56,7 @@ class Storm:
         rig.settle()
         self._connect()
         traffic = rig.robot.subscribe_to_traffic(lambda message: None)
-        subscriber = rig.user('subscriber', 'storm_subscriber')
-        rig.wait(lambda: _subscribed(rospy.get_name()) <= _subscribed('/storm_subscriber'),
-                 'the subscriber is connected')
+        subscriber = rig.user('subscriber', 'storm_subscriber', *rig.robot.topics)
         children = [subscriber, *rig.busy(self._busy)]
         loops = (self._measure, self._drive, self._make_calls, self._make_calls,
                  lambda: self._disturb('mcu', 4.0), lambda: self._disturb('bus', 6.0),
@@ -95,14 +82,19 @@ class Storm:
 
     def _run(self) -> None:
         growth, until = GrowthCheck(self.rig, self._duration), time.monotonic() + self._duration
+        with self.rig.clock.each(_USAGE_PERIOD, growth.measure):
+            self._disturb_bridge(until)
+        growth.judge()
+
+    def _disturb_bridge(self, until: float) -> None:
         while time.monotonic() < until:
             self.wait(self._random.uniform(2.0, 6.0))
             with self._either, self._values.disturbance(), self.rig.suspended():
                 self._record('bridge', 'suspended')
                 self.wait(self._random.choice(_STALLS))
                 self._motor.resumed()
-            for each in self._motor, self._values, growth:
-                each.judge()
+            self._motor.judge()
+            self._values.judge()
             self.rig.check_always()
             self.rig.check(self.rig.child_bridge)
 

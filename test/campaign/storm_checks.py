@@ -89,11 +89,6 @@ class CallCheck:
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
-        refused = rig.row('outcome refused or not sent: not executed')
-        self._outcomes = {
-            'done': rig.row('outcome done: executed exactly once'),
-            'not known': rig.row('outcome not known: executed at most once'),
-            'refused': refused, 'not sent': refused}
         self._returned = rig.row('every call returns within 6 s')
         self.executed: 'Counter[Tuple[int, bytes]]' = Counter()
         # By request: how often the board may still receive it.
@@ -116,7 +111,7 @@ class CallCheck:
         executed = self.executed.pop(key, 0)
         text = f'{key[1].hex()}: {outcome}, executed {executed} times'
         if self._returned.check(outcome.status is not None, text):
-            self._outcomes[outcome.name].check(outcome.is_true(executed), text)
+            outcome.check(self._rig.row, executed, text)
         if outcome.success:
             self._rig.row('a raw call returns the data of its own reply').check(
                 outcome.data == key[1], text)
@@ -219,7 +214,7 @@ class ValueCheck:
             link = 'mcu' if 'mcu' in topic else 'arduino'
             if any(each.excuses(link, value.at, latest) for each in list(self.disturbances)):
                 continue
-            if self._rig.may_lose(value.at - _RETURN, value.at + _BEFORE):
+            if self._rig.machine.stalled(value.at - _RETURN, value.at + _BEFORE):
                 self._lost.undecided += 1
             else:
                 self._lost.check(False, f'{topic} {value.key}, sent at {value.at:.3f}')
@@ -234,13 +229,15 @@ class GrowthCheck:
         self._began = time.monotonic() + settling
         self._least = {name: [math.inf, math.inf] for name in _GROWTH}      # in each half
 
-    def judge(self) -> None:
-        """To be called every few seconds."""
+    def measure(self) -> None:
+        """To be called often: files are open for a moment in each call of a service."""
         halves = (time.monotonic() - self._began) / self._half
         for name, value in usage_of(self._rig.child_bridge.pid).items() if halves > 0 else ():
-            least, (noise, per_hour, unit) = self._least[name], _GROWTH[name]
-            least[halves > 1] = min(least[halves > 1], value)
-            if max(least) < math.inf:
-                self._rig.row(f'no growth: {name}').at_most(
-                    least[1] - least[0], noise + per_hour * self._half / 3600, unit,
-                    f'from {least[0]:.1f}')
+            self._least[name][halves > 1] = min(self._least[name][halves > 1], value)
+            self._rig.row(f'no growth: {name}').checks += halves > 1
+
+    def judge(self) -> None:
+        for name, (first, second) in self._least.items():
+            noise, per_hour, unit = _GROWTH[name]
+            self._rig.row(f'no growth: {name}').at_most(
+                second - first, noise + per_hour * self._half / 3600, unit, f'from {first:.1f}')

@@ -1,16 +1,15 @@
 """The campaign's table, lines, boards and logs."""
 import os
+import select
 import signal
 import struct
-import subprocess
-import sys
 import time
 
 import pytest
 from waiting import until
 
 import by_definition as codec
-from campaign import broken, logs, witness
+from campaign import boards, broken, logs, machine, writes
 from campaign.boards import (BusBoard, Car, Reaction, Request, Sensors, imu_values, range_key,
                              reply_frame)
 from campaign.lines import Clock, NetworkLine, SerialLine
@@ -75,11 +74,11 @@ def test_car_records_packets_and_heartbeats(line):
     os.write(end, codec.arduino_packet(codec.SPEED, b'\0\0') + heartbeat * 3
              + codec.arduino_packet(codec.SPEED, struct.pack('<h', -7)))
     until(lambda: len(car.packets) == 2)
-    assert car.first[0].is_stop and car.beats == 3 and car.packets[1].beats == 3
+    assert car.first.is_stop and car.beats == 3 and car.packets[1].beats == 3
     assert car.stop_after(car.packets[0]) is None and car.gaps == []
     assert car.commands(codec.SPEED) == [0, -7] and car.packet(codec.SPEED, -7)
     line.unplug()
-    assert car.connection == 1 and car.beats == 0 and car.ended == [3]
+    assert car.connection == 1 and car.beats == 0 and car.first is None and car.last.number == -7
     os.close(end)
 
 
@@ -102,30 +101,64 @@ def test_boards_record_the_values_that_they_send(line):
         'timed out', 'near', 30, 2000, 'far']
 
 
+@pytest.mark.parametrize('number', [29999, 32767, 36000, 65529, 65534, 65535, 1 << 24])
+def test_boards_send_for_any_duration(line, number):
+    for board in Car(line, Clock()), Sensors(line):
+        board._number = number
+        board.measure()
+        assert len(board.sent) >= 4
+
+
 def test_a_gap_between_heartbeats_is_recorded(line):
     car, heartbeat = Car(line, Clock()), codec.arduino_packet(codec.HEARTBEAT)
     for now in (1.0, 1.01, 1.041, 1.05):
         car.read(heartbeat, now)
-    assert car.gaps == [(1.01, 1.041)] and car.first_beat == 1.0
+    assert car.gaps == [(1.01, 1.041)] and car.beat_at == 1.05
     car.forget_beat()
     car.read(heartbeat, 3.0)
     assert len(car.gaps) == 1 and car.all_beats == 5
 
 
+@pytest.mark.parametrize('silent, not_arrived, gaps', [
+    (2.0, (1.02, 1.04), 0), (2.0, (1.02,), 1), (0.1, (1.02, 1.04), 1)])
+def test_heartbeats_that_the_bridge_drops_when_a_silence_ends_were_in_time(
+        line, monkeypatch, silent, not_arrived, gaps):
+    car, heartbeat, now = Car(line, Clock()), codec.arduino_packet(codec.HEARTBEAT), [-9.0]
+    monkeypatch.setattr(boards.time, 'monotonic', lambda: now[0])
+    for now[0] in 1.0 - silent, 1.0:
+        car.write(b'')
+    times = [(1.0, ()), (1.06, not_arrived)]
+
+    def written(frames, now):
+        at, line.not_arrived = times.pop(0)
+        return [at]
+    line.written = written
+    for _ in range(2):
+        car.read(heartbeat, 1.06)
+    assert len(car.gaps) == gaps
+
+
+def bus_board(line):
+    """A board, and what was wrong about fences."""
+    board, faults = BusBoard(line, Clock()), []
+    board.check_fence = lambda holds, text: holds or faults.append(text)
+    return board, faults
+
+
 def test_bus_board_checks_the_fence(line):
-    board = BusBoard(line, Clock())
+    board, faults = bus_board(line)
     echo, lift = codec.bus_frame(b'\1\0', b'nonc'), codec.bus_frame(b'\x55\x20', b'\0\1')
     for data in (echo, lift):
         board.read(data, 1.0)
-    assert not board.faults and board.checked == 1
+    assert not faults
     board.read(lift, 2.0)
-    assert 'came behind' in board.faults.pop()
+    assert 'came behind' in faults.pop()
     board.read(echo, 3.0)
-    assert 'is not new' in board.faults.pop()
+    assert 'is not new' in faults.pop()
     board.probe = lambda request: Reaction()     # not answered
     for data in (codec.bus_frame(b'\1\0', b'othe'), lift):
         board.read(data, 4.0)
-    assert 'came behind' in board.faults.pop() and not board.faults
+    assert 'came behind' in faults.pop() and not faults
 
 
 def test_bus_board_keeps_the_order_of_its_line(line):
@@ -195,57 +228,61 @@ def test_terminal_output(tmp_path):
     assert [row.text for row in table.violated] == ['the terminal shows the log and nothing else']
 
 
-def test_witness():
-    """Only a process that woke up late at that time is an excuse."""
-    memory = []
-    one = witness.Witness(memory.append)
-    record = struct.Struct('<2d').pack
-    os.pwrite(memory[0], record(100.0, 2) + record(5.0, 5.1) + record(6.0, 6.02), 0)
-    assert one.longest(5.16, 5.9) == 0.0
-    assert one.longest(5.16, 6.0) == pytest.approx(0.02)
-    assert one.longest(4.0, 4.96) == pytest.approx(0.1)
+def test_a_byte_that_is_moved_late_is_a_stall():
+    one = machine.Machine()
+    now = time.monotonic()
+    one.moved(now - 10.0, now - 9.8)
+    one.moved(now - 5.0, now - 4.95)
+    assert one.stalled(now - 9.77, now - 9.0) and not one.stalled(now - 9.7, now - 4.0)
+    assert one.late(now - 9.77, now - 9.0) == 0.0
 
 
-def test_witness_process_notes_that_it_was_suspended():
-    def start(memory):
-        process.append(subprocess.Popen([sys.executable, witness.__file__, str(memory), str(
-            min(os.sched_getaffinity(0)))], pass_fds=(memory,)))
-    process = []
-    one = witness.Witness(start)
+def test_a_witness_that_is_suspended_is_late():
+    one = machine.Machine()
     began = time.monotonic()
-    one.longest(began, began)       # it runs
-    process[0].send_signal(signal.SIGSTOP)
+    assert not one.stalled(began, began)       # it runs
+    process = one._witnesses[0]._process
+    process.send_signal(signal.SIGSTOP)
     time.sleep(0.2)
-    process[0].send_signal(signal.SIGCONT)
-    assert 0.15 < one.longest(began, time.monotonic())
-    process[0].kill()
-    process[0].wait()
+    process.send_signal(signal.SIGCONT)
+    assert one.late(began, time.monotonic()) > 0.15
 
 
-def test_what_is_read_late_has_the_time_of_its_write(line):
-    """As if the kernel delayed it."""
-    read, written, end = [], [], opened(line)
-    line.on_bytes = lambda data, now: read.extend(
-        (at, now) for at in line.written(len(data), now))
-    with line._lock:        # nothing is read
-        for number in range(1, 4):
-            began = time.monotonic()
-            os.write(end, b'x')
-            until(lambda: len(line._writes) == number)
-            written.append((began, time.monotonic()))
-    until(lambda: len(read) == 3)
-    for (since, before), (at, read_at) in zip(written, read):
-        assert since <= at <= before <= read_at
-    os.close(end)
+def test_a_write_is_noted_when_it_is_made(tmp_path):
+    noted = writes.Writes()
+    with open(tmp_path / 'device', 'wb', buffering=0) as file:
+        noted.watch(file.name)
+        file.write(b'x')
+        until(noted.next)       # it runs
+        began = time.monotonic()
+        file.write(b'x')
+        until(lambda: select.select([noted._times], [], [], 0)[0])
+        known = time.monotonic()
+        time.sleep(0.05)
+        assert began <= noted.next()[0] <= known and noted.next() == []
+        file.write(b'x')
+        noted.watch(str(tmp_path))
+        time.sleep(0.05)
+        assert noted.next() == []       # it is of the device before
 
 
-@pytest.mark.parametrize('writes, times', [
-    ([1.0, 2.0, 3.0], [2.0, 3.0]), ([3.0], [3.0, 5.0]), ([], [5.0, 5.0])])
-def test_times_of_two_frames(line, writes, times):
-    """The first write was read before it was known, or the second one is not known yet."""
-    line._writes = writes
+@pytest.mark.parametrize('found, times, not_arrived', [
+    ([1.0, 2.0, 3.0], [2.0, 3.0], [1.0]), ([3.0], [3.0, 3.0], []), ([], [5.0, 5.0], [])])
+def test_times_of_two_frames(line, found, times, not_arrived):
+    """The first write has not arrived, or one is not known."""
+    moved, noted = [], [found]
+    line.on_moved = lambda *each: moved.append(each)
+    line._writes.next = lambda seconds=0.0: noted.pop() if noted else []
     assert line.written(0, 4.0) == [] and line.written(2, 5.0) == times
+    assert line.not_arrived == not_arrived and moved == [(times[0], 5.0)]
     assert line.written(1, 6.0) == [6.0]
+
+
+def test_the_write_of_a_frame_may_be_noted_after_its_read(line):
+    noted = [[time.monotonic() + 1.0], []]
+    line._writes.next = lambda seconds=0.0: noted.pop()
+    now = time.monotonic()
+    assert line.written(1, now) == [now] and not noted
 
 
 def test_every_broken_bridge_applies():
@@ -265,29 +302,21 @@ def test_a_broken_bridge_that_no_longer_applies_is_an_error():
 @pytest.mark.parametrize('lost, silence, faults', [(3, 0.3, 0), (3, 0.1, 1), (2, 0.3, 1)])
 def test_fence_after_lost_echoes(line, lost, silence, faults):
     """After three lost ECHOs, SYNC and a silence are the fence of a call."""
-    bus = BusBoard(line, Clock())
+    bus, found = bus_board(line)
     bus.write(reply_frame(codec.ECHO))
     bus.probe = lambda request: Reaction() if request.cmd1 == codec.ECHO else None
     for number in range(lost):
         bus.read(codec.bus_frame(b'\1\0', bytes((number,)) * 4), 1.0)
     bus.read(codec.bus_frame(bytes((codec.SYNC, 0)), b''), 2.0)
     bus.read(codec.bus_frame(b'\x55\x60', b''), bus.written_at + silence)
-    assert bus.checked == 1 and len(bus.faults) == faults
+    assert len(found) == faults
 
 
 @pytest.mark.parametrize('silence, faults', [(0.02, 0), (0.01, 1)])
 def test_fence_of_a_board_that_never_echoes(line, silence, faults):
-    bus = BusBoard(line, Clock())
+    bus, found = bus_board(line)
     bus.lost_echoes = 3
     for request in b'\x55\x60', b'\x55\x61':
-        bus.faults.clear()
+        found.clear()
         bus.read(codec.bus_frame(request, b''), bus.written_at + silence)
-    assert len(bus.faults) == faults
-
-
-def test_line_witness_measures_how_long_the_kernel_moves_bytes(monkeypatch):
-    began, read = time.monotonic(), os.read
-    monkeypatch.setattr(witness.os, 'read', lambda fd, size: time.sleep(0.05) or read(fd, size))
-    one = witness.LineWitness()
-    until(lambda: one.longest(began, time.monotonic()) >= 0.05)
-    assert one.longest(began - 9.0, began - 8.0) == 0.0
+    assert len(found) == faults

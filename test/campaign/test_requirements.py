@@ -61,6 +61,19 @@ def test_a_requirement_that_was_not_decided_too_often_is_red(table, row):
     assert not table.failed
 
 
+def test_results_of_a_try_that_the_machine_spoiled_are_taken_back(table, row):
+    row.at_most(1.0, 2.0, 's', '')
+    before = table.results()
+    row.at_most(3.0, 2.0, 's', 'too late')
+    other = table.row('data is published again within 1 s of a stall')
+    other.check(True, '')
+    assert table.total('violations') == 1
+    table.take_back(before)
+    assert (row.checks, row.violations, row.undecided, row.examples) == (5, 0, 1, [])
+    assert row.worst_case == '1 s' and (other.checks, other.undecided) == (12, 0)
+    assert not table.failed
+
+
 def test_the_storm_has_its_own_checks_and_least_numbers():
     table, text = Table(), 'outcome done: executed exactly once'
     table.row(text).check(True, '')

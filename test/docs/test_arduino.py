@@ -10,8 +10,9 @@ from pages import ROOT
 PAGE = (ROOT / 'firmware' / 'README.md').read_text()
 HARDWARE = '/usr/share/arduino/hardware'
 BOARDS = f'{HARDWARE}/arduino/avr/boards.txt'
-BOOTLOADERS = re.findall(r'^\| .*?(\d+) baud.*?`(arduino:avr:nano:cpu=(\w+))`.*\| `FLASH_BAUD=(\d+)`', PAGE,
-                         re.MULTILINE)
+BOOTLOADERS = re.findall(
+    r'^\| .*?(\d+) baud.*?`(arduino:avr:nano:cpu=(\w+))`.*\| `FLASH_BAUD=(\d+)`',
+    PAGE, re.MULTILINE)
 
 
 def boards():
@@ -37,8 +38,8 @@ def test_arduinos_own_builder_finds_the_library_and_compiles_the_example(fqbn, t
     (libraries / 'SerialCommunicationProtocol').symlink_to(ROOT / 'firmware' / 'protocol')
     (tmp_path / 'build').mkdir()
     done = subprocess.run(
-        ['arduino-builder', '-compile', '-hardware', HARDWARE, '-hardware', '/usr/share/arduino-builder',
-         '-tools', HARDWARE, '-libraries', str(libraries), '-build-path', str(tmp_path / 'build'),
+        ['arduino-builder', '-compile', '-hardware', HARDWARE,
+         '-hardware', '/usr/share/arduino-builder', '-tools', HARDWARE, '-libraries', str(libraries), '-build-path', str(tmp_path / 'build'),
          '-fqbn', fqbn, '-warnings', 'none', '-prefs=runtime.tools.avr-gcc.path=/usr',
          '-prefs=tools.ctags.path=/usr/bin', '-prefs=tools.ctags.cmd.path=/usr/bin/arduino-ctags',
          # The core's String wants a macro that the float.h of Debian's avr-gcc hides from C++.

@@ -26,29 +26,37 @@ def recipes():
     return [(steps, launch, commands) for *steps, launch, commands in found.values()]
 
 
-@pytest.fixture
-def master(tmp_path):
+@pytest.fixture(scope='module')
+def master(tmp_path_factory):
     """A master, in a folder with the files of the page."""
+    folder = tmp_path_factory.mktemp('recipes')
     for block in blocks(PAGE):
         if block.mark.startswith('file: '):
-            path = tmp_path / block.mark.partition(' ')[2]
+            path = folder / block.mark.partition(' ')[2]
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(block.text)
-    with Stage(tmp_path).master() as stage:
+    with Stage(folder).master() as stage:
         yield stage
 
 
+@pytest.fixture
+def terminal(master, monkeypatch):
+    """The master, in a terminal whose variables are forgotten."""
+    monkeypatch.setattr(master, 'environment', dict(master.environment))
+    return master
+
+
 @pytest.mark.parametrize('steps, launch, commands', recipes())
-def test_the_commands_of_a_recipe_succeed_beside_its_launch(master, steps, launch, commands):
+def test_the_commands_of_a_recipe_succeed_beside_its_launch(terminal, steps, launch, commands):
     for step in steps:
-        done = master.run(f'{step}\nenv -0 >environment')    # as in one terminal
+        done = terminal.run(f'{step}\nenv -0 >environment')    # as in one terminal
         assert done.returncode == 0, done.stdout
-        master.environment.update(pair.split('=', 1) for pair in (
-            master.folder / 'environment').read_text().split('\0') if pair)
-    with master.background([launch]):
-        master.until(lambda: master.links_are_ok('bus', 'arduino', 'mcu'), 'all links are OK')
+        terminal.environment.update(pair.split('=', 1) for pair in (
+            terminal.folder / 'environment').read_text().split('\0') if pair)
+    with terminal.background([launch]):
+        terminal.until(lambda: terminal.links_are_ok('bus', 'arduino', 'mcu'), 'all links are OK')
         for command in commands.splitlines():
-            done = master.run(f'timeout 30 {command}')
+            done = terminal.run(f'timeout 30 {command}')
             assert done.returncode == 0 and done.stdout.strip(), (command, done.stdout)
             assert 'success: False' not in done.stdout
 

@@ -13,6 +13,7 @@ from waiting import again_if_stalled
 
 (DEBUG, INFO, WARN, ERROR, SPEED, STEERING, LED, ANGLE, TICKS, IMU, VOLTAGE, HEARTBEAT,
  CALIBRATION) = range(13)
+TIME, MCU_TIME = 254, 0xFE
 FORCE, GRIPPER = 32, 48    # custom messages
 PUMP, TANK = 0x30, 0x32    # custom functions of the bus
 RATE_SCALE = 4000.0 / 65536 * math.pi / 180 * 25  # rad/s
@@ -27,7 +28,7 @@ def open_port(board):
 
 
 # Of the packets with data of one length, for telling those that a reset has cut off.
-LENGTHS = {ANGLE: 2, TICKS: 1, IMU: 22, VOLTAGE: 4}
+LENGTHS = {ANGLE: 2, TICKS: 1, IMU: 22, VOLTAGE: 4, TIME: 5}
 
 
 packet = arduino_packet
@@ -229,7 +230,7 @@ def error(code):
 
 
 class Frames:
-    """Sensor status frames from the board."""
+    """Sensor status frames from the board, each behind its time."""
 
     def __init__(self, board):
         self.board = board
@@ -237,20 +238,25 @@ class Frames:
         self._received = b''
         self._cut = False
         self.frames = []
+        self.times = []      # (number, µs)
 
     def read(self):
         self._received += self.port.read(4096)
         if self._cut:
-            start = self._received.find(b'\x02\x0c\x10')
+            start = self._received.find(b'\x02\x06\xfe')
             if start < 0:
                 return self.frames
             self._received = self._received[start:]
             self._cut = False
-        while len(self._received) >= 16:
-            frame, self._received = self._received[:16], self._received[16:]
+        while len(self._received) > 1 and len(self._received) >= self._received[1] + 4:
+            size = self._received[1] + 4
+            frame, self._received = self._received[:size], self._received[size:]
             found = mcu_at(frame, 0)
-            assert found and found.type == SENSORS, frame.hex()
-            self.frames.append((found.number,) + struct.unpack('<HHhhh', found.data))
+            assert found and found.type in (SENSORS, MCU_TIME), frame.hex()
+            if found.type == SENSORS:
+                self.frames.append((found.number,) + struct.unpack('<HHhhh', found.data))
+            else:
+                self.times.append((found.number, *struct.unpack('<I', found.data)))
         return self.frames
 
     def forget_a_cut_frame(self):

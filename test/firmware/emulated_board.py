@@ -54,9 +54,11 @@ class EmulatedBoard:
     still: nothing moves but what the board moves and what is set.
     port: an existing tty for the UART; by default the emulator makes a pty, and `port` is its link.
     eeprom: a file to keep the EEPROM in.
+    bootloader: a HEX file, which runs first after each reset.
     """
 
-    def __init__(self, build, world, still=True, port=None, eeprom=None, image=None):
+    def __init__(self, build, world, still=True, port=None, eeprom=None, image=None,
+                 bootloader=None):
         self._directory = tempfile.mkdtemp(prefix='avr_board_')
         self._socket = None
         self._pending = b''
@@ -66,6 +68,7 @@ class EmulatedBoard:
         command += ['--port', port] if port else ['--link', self.port]
         command += ['--still'] if still else []
         command += ['--eeprom', eeprom] if eeprom else []
+        command += ['--bootloader', bootloader] if bootloader else []
         command.append(os.path.join(build, image or IMAGES[world]))
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                                         universal_newlines=True)

@@ -163,6 +163,7 @@ unsigned long millis() {
   model::pass(1);
   return static_cast<uint32_t>(model::now_us / 1000);
 }
+unsigned long micros() { return static_cast<uint32_t>(model::now_us); }
 void delay(uint32_t ms) { model::pass(ms * 1000ull); }
 void delayMicroseconds(uint32_t us) { model::pass(us); }
 void enableLoopWDT() { model::loop_watched = true; }

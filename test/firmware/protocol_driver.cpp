@@ -7,6 +7,7 @@
 //   parse TOKEN…                                  packets out of a stream, then the counters
 //   bus TOKEN…                                    the Slave's replies after each token, then what was executed
 //   skip N | sensor N*5 | adc N*6                 the STX/ETX sender; skip sends N frames to nowhere
+//   time packet N N | time frame N                the board's time: µs, and of how many packets
 //   custom packet|frame N N F                        a custom packed struct: int16, uint8, float
 //   watch TOKEN…                                  a heartbeat watch of 31 ticks: after each tick, whether it is alive.
 //                                                 aN: N bytes arrive; rN: N are read; h1: a heartbeat; tN: N ticks
@@ -229,6 +230,16 @@ int main() {
       SensorStatus status;
       words >> status.range_mm[0] >> status.range_mm[1] >> status.yaw >> status.pitch >> status.roll;
       frames.send_sensor_status(status);
+    } else if (command == "time") {
+      std::string kind;
+      uint32_t microseconds;
+      words >> kind >> microseconds;
+      if (kind == "packet") {
+        words >> number;
+        packets.time(microseconds, uint8_t(number));
+      } else {
+        frames.time(microseconds);
+      }
     } else if (command == "custom") {
       std::string kind;
       int force;

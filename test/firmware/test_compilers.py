@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from compilers import HERE, ON_THE_AVR, ON_THE_ESP, ON_THE_PC, PROTOCOL, check
+from compilers import ON_THE_AVR, ON_THE_ESP, ON_THE_PC, PROTOCOL, check
 from emulated_board import FIRMWARE
 
 COMPILERS = {
@@ -26,12 +26,6 @@ def test_headers(chip, tmp_path):
         source = tmp_path / 'headers.cpp'
         source.write_text(''.join('#include <%s>\n' % name for name in order))
         check(COMPILERS[chip], str(source))
-
-
-def test_driver_of_the_headers_with_unsigned_char():
-    """It uses every template of the headers."""
-    check(COMPILERS['PC, unsigned char'],
-          os.path.join(HERE, 'protocol_driver.cpp'))
 
 
 @pytest.mark.parametrize('source', ESP_SOURCES)

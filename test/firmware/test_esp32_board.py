@@ -5,6 +5,7 @@ import struct
 
 import pytest
 
+from board_ends import MCU_TIME
 from by_definition import SENSORS, mcu_at
 from emulated_board import FIRMWARE
 from compilers import HERE, PROTOCOL, STUBS, run
@@ -43,10 +44,14 @@ def frames(program, seconds, *events):
     """The frames: (milliseconds, range 1, range 2, yaw, (pitch, roll))."""
     status, output = run([program, str(seconds), *events], timeout=60)
     assert status == 0, output
-    found = []
+    found, timed = [], -1
     for ms, data in map(str.split, output.splitlines()):
         frame = mcu_at(bytes.fromhex(data), 0)
-        assert frame and frame.type == SENSORS
+        if frame and frame.type == MCU_TIME:
+            timed = (frame.number + 1) % 256
+            assert abs(struct.unpack('<I', frame.data)[0] / 1000 - int(ms)) <= 1
+            continue
+        assert frame and frame.type == SENSORS and frame.number == timed
         one, two, yaw, pitch, roll = struct.unpack('<HHhhh', frame.data)
         found.append((int(ms), one, two, yaw, (pitch, roll)))
     return found

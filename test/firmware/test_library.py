@@ -32,6 +32,10 @@ def read(path):
         return file.read()
 
 
+def properties():
+    return dict(line.split('=', 1) for line in read(LIBRARY + '/library.properties').splitlines())
+
+
 def name_of(path):
     return os.path.basename(path)
 
@@ -42,6 +46,12 @@ def as_the_ide_makes_it(sketch):
     first = functions[0].start()
     prototypes = ''.join('%s;\n' % function.group(1) for function in functions)
     return '#include <Arduino.h>\n' + sketch[:first] + prototypes + sketch[first:]
+
+
+def compiles(compiler, folder, sketch):
+    """Check that a sketch with this text compiles."""
+    (folder / 'sketch.cpp').write_text(as_the_ide_makes_it(sketch), encoding='utf-8')
+    check(compiler, str(folder / 'sketch.cpp'))
 
 
 def size_in_the_ide(sketch, firmware_build, tmp_path):
@@ -78,24 +88,27 @@ def test_a_sketch_that_announces_nothing_has_no_code_for_it(
     assert flash - silent_flash - len(text) > at_least
 
 
-@pytest.mark.parametrize('chip', sorted(OTHER_AVRS))
-@pytest.mark.parametrize('example', ['Hello', 'Sensor'])
-def test_example_builds_for_other_avrs(chip, example, tmp_path):
-    source = tmp_path / 'sketch.cpp'
-    source.write_text(as_the_ide_makes_it(read('%s/examples/%s/%s.ino' % (
-        LIBRARY, example, example))), encoding='utf-8')
-    compiler = [option for option in ON_THE_AVR
-                if option != '-mmcu=atmega328p' and 'variants' not in option]
-    subprocess.run(compiler[:-1] + OTHER_AVRS[chip] + IDE + ['-fsyntax-only', str(source)],
-                   check=True)
+@pytest.mark.parametrize('example', ['Hello', 'Car', 'Sensor'])
+def test_a_sketch_without_board_time_has_no_code_for_it(example, firmware_build, tmp_path):
+    sketch = read('%s/examples/%s/%s.ino' % (LIBRARY, example, example))
+    silent = re.sub(r'.*bridge\.time\(micros\(\)\);.*\n', '', sketch)
+    assert silent != sketch
+    flash, switched_off, none = (size_in_the_ide(each, firmware_build, tmp_path)[0] for each in (
+        sketch, '#define NO_BOARD_TIME\n' + sketch, silent))
+    print('%s: %d bytes for the time' % (example, flash - none))
+    assert none <= switched_off < flash - 20     # micros() itself stays
 
 
-@pytest.mark.parametrize('example', ['Hello', 'HelloESP32', 'Sensor'])
-def test_example_builds_for_the_esp32(example, tmp_path):
-    source = tmp_path / 'sketch.cpp'
-    source.write_text(as_the_ide_makes_it(read('%s/examples/%s/%s.ino' % (
-        LIBRARY, example, example))), encoding='utf-8')
-    check(ON_THE_ESP, str(source))
+COMPILERS = {'ESP32': ON_THE_ESP, **{
+    chip: [option for option in ON_THE_AVR[:-2] if option != '-mmcu=atmega328p'] + options
+    for chip, options in OTHER_AVRS.items()}}
+
+
+@pytest.mark.parametrize('chip, example', [
+    (chip, example) for chip in COMPILERS for example in ('Hello', 'HelloESP32', 'Sensor')
+    if chip == 'ESP32' or example != 'HelloESP32'])
+def test_example_builds_for_other_chips(chip, example, tmp_path):
+    compiles(COMPILERS[chip], tmp_path, read(f'{LIBRARY}/examples/{example}/{example}.ino'))
 
 
 def test_hello_is_short():
@@ -103,13 +116,12 @@ def test_hello_is_short():
 
 
 def test_library_has_what_the_ide_wants():
-    properties = dict(line.split('=', 1) for line in
-                      read(LIBRARY + '/library.properties').splitlines())
+    found = properties()
     wanted = {'name', 'version', 'author', 'maintainer', 'sentence', 'paragraph', 'category', 'url',
               'architectures', 'includes'}
-    assert set(properties) == wanted and all(properties.values())
-    assert properties['category'] == 'Communication'
-    for header in properties['includes'].split(','):
+    assert set(found) == wanted and all(found.values())
+    assert found['category'] == 'Communication'
+    for header in found['includes'].split(','):
         assert os.path.exists(os.path.join(PROTOCOL, header))
     for path in EXAMPLES:    # the IDE opens only a sketch with the name of its folder
         assert name_of(path) == os.path.basename(os.path.dirname(path)) + '.ino'
@@ -118,20 +130,15 @@ def test_library_has_what_the_ide_wants():
 def test_the_library_stands_alone():
     """Its folder has what a repository of its own needs, and PlatformIO's file says the same."""
     assert read(LIBRARY + '/LICENSE') == read(os.path.join(FIRMWARE, os.pardir, 'LICENSE'))
-    properties = dict(line.split('=', 1) for line in
-                      read(LIBRARY + '/library.properties').splitlines())
-    found = json.loads(read(LIBRARY + '/library.json'))
+    found, wanted = json.loads(read(LIBRARY + '/library.json')), properties()
     assert (found['name'], found['version'], found['description'], found['headers']) == (
-        properties['name'], properties['version'], properties['sentence'],
-        properties['includes'].split(','))
+        wanted['name'], wanted['version'], wanted['sentence'], wanted['includes'].split(','))
     assert '../' not in read(LIBRARY + '/README.md')
 
 
 def test_the_sketch_of_the_readme_builds(tmp_path):
     code = re.search('```cpp\n(.*?)```', read(LIBRARY + '/README.md'), re.S).group(1)
-    source = tmp_path / 'sketch.cpp'
-    source.write_text(as_the_ide_makes_it(code), encoding='utf-8')
-    check(ON_THE_AVR, str(source))
+    compiles(ON_THE_AVR, tmp_path, code)
 
 
 def test_a_sketch_may_have_names_that_the_headers_use_inside(tmp_path):

@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from by_definition import arduino_at, decode
 from emulated_board import FIRMWARE, EmulatedBoard
 
 HERE = os.path.dirname(os.path.abspath(__file__))
@@ -43,22 +44,10 @@ def test_its_pins_are_driven_and_read(firmware_build, image):
         with open(board.port, 'rb', buffering=0) as port:
             for raw in 512, 7, 0, 511:
                 board.set('a0', raw)
-                wanted = b'\x20' + (2 * raw).to_bytes(2, 'little')
+                wanted = 0x20, 0, (2 * raw).to_bytes(2, 'little')
                 seen = []
-                board.wait_until(lambda: seen.append(port.read(64)) or
-                                 wanted in decoded(b''.join(seen)), 2)
-
-
-def decoded(data):
-    """The packets in a stream, decoded by the definition of COBS."""
-    packets = []
-    for packet in data.split(b'\0'):
-        out, at = b'', 0
-        while at < len(packet):
-            out += packet[at + 1:at + packet[at]] + b'\0' * (packet[at] < 255)
-            at += packet[at]
-        packets.append(out[:-1])
-    return packets
+                board.wait_until(lambda: seen.append(port.read(64)) or wanted in [
+                    frame.content for frame in decode(b''.join(seen), arduino_at)[0]], 2)
 
 
 def test_avr_board_runs_any_image(image, firmware_build, tmp_path):
@@ -96,7 +85,7 @@ def test_a_sketch_that_is_none_is_said(tmp_path, arguments, words):
 
 
 @pytest.mark.parametrize('arguments, status, words', [
-    (['--elf'], 2, '--elf needs a value'), (['--link', 'x'], 2, 'name a board, or an image'),
+    (['--link', 'x'], 2, 'name a board, or an image'),
     (['--elf', '/no/such.elf'], 1, 'there is no file /no/such.elf')])
 def test_mistakes_in_the_arguments_of_avr_board(arguments, status, words):
     done = subprocess.run([AVR_BOARD, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE,

@@ -128,6 +128,16 @@ def test_a_packet_without_its_end_is_given_up(driver):
     assert driver('parse 0404 +50 020b00') == '11: | cobs=0 long=0 length=0 unknown=0 timeout=1'
 
 
+def test_the_time_in_a_packet_and_in_a_frame(driver):
+    time = struct.pack('<I', 0x80FF0001)
+    for count in 1, 16:
+        packet = cobs_encode(b'\xfe' + time + bytes((count,))) + b'\0'
+        assert driver(f'time packet {0x80FF0001} {count}') == packet.hex()
+    frame = bytes.fromhex(driver(f'time frame {0x80FF0001}'))
+    assert frame[:3] == b'\x02\x06\xfe' and frame[4:-2] == time
+    assert frame[-1] == 3 and xor_of(frame[2:-1]) == 0
+
+
 CUSTOM = struct.pack('<hBf', -300, 128, 1.5)
 
 

@@ -19,10 +19,10 @@ def output(command):
 
 @pytest.mark.skipif(not shutil.which(QEMU), reason=QEMU + ' is not installed: it is in the package '
                     'qemu-system-misc')
-@pytest.mark.parametrize('sign', ['signed', 'unsigned'])
-def test_the_headers_behave_as_on_the_pc(tmp_path, sign):
+def test_the_headers_behave_as_on_the_pc(tmp_path):
+    """There char is unsigned."""
     here, there = str(tmp_path / 'here'), str(tmp_path / 'there')
-    output(['g++', '-fsanitize=address,undefined', '-f%s-char' % sign, *OPTIONS, '-o', here])
+    output(['g++', '-fsanitize=address,undefined', '-fsigned-char', *OPTIONS, '-o', here])
     output(['xtensa-lx106-elf-g++', '-ffreestanding', '-nostdlib', '-fno-exceptions', '-fno-rtti',
             '-fno-threadsafe-statics', '-mtext-section-literals', '-Wl,-N,--no-warn-rwx-segments',
             '-T', os.path.join(HERE, 'xtensa.ld'), '-I', os.path.join(STUBS, 'no_libc'), *OPTIONS,

@@ -110,19 +110,3 @@ def test_a_decoder_that_was_reset_begins_anew(make, false_start, size, wire):
     line.receive(false_start + false_start)
     line.wait(TIMEOUT - 0.001)
     assert line.decoder.pending and not any(line.decoder.errors.values())
-
-
-@pytest.mark.parametrize('make, false_start, size, wire', [
-    (bus.ReplyDecoder, b'\xa5\xf0', 0xF0 + 4, REPLY),
-    (mcu.Decoder, b'\x02\xf0\x63', 0xF0 + 4, STATUS)], ids=['bus', 'mcu'])
-def test_a_valid_frame_inside_one_that_is_given_up_is_found(make, false_start, size, wire):
-    line = Line(make)
-    line.receive(false_start)
-    line.wait(0.03)
-    line.receive(wire)
-    while not line.got:
-        line.wait(0.03)
-        line.receive(bytes((SILENT,)))
-        assert line.now < 12.0, 'it is never found'
-    assert line.got[0][0] - 10.0 == pytest.approx(TIMEOUT + size * BYTE)
-    assert line.got[0][1] == wire

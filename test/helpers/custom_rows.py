@@ -59,14 +59,3 @@ def layout_and_raws(draw):
         layout += 's'
         raws.append(draw(_TEXTS))
     return layout, raws
-
-
-@st.composite
-def row_and_raws(draw):
-    """Strategy: a valid row of arduino/messages, and raw numbers for it."""
-    layout, raws = draw(layout_and_raws())
-    paths = [draw(st.sampled_from((f'field{index}', f'list[{index}]', f'a.b{index}', '')))
-             for index in range(len(raws))]
-    return dict(type=draw(st.integers(13, 254)), ros_type='any/Type', layout=layout,
-                fields=paths, scale=draw(st.sampled_from((1, 1, 0.01, -0.5, 3))),
-                offset=draw(st.sampled_from((0, 0, -40, 1.5)))), raws

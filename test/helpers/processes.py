@@ -152,7 +152,7 @@ class Stage:
         self.env = {key: value for key, value in os.environ.items()
                     if key not in ('ROS_IP', 'ROS_NAMESPACE')}
         self.env.update(ROS_MASTER_URI=f'http://127.0.0.1:{self._port}',
-                        ROS_HOSTNAME='127.0.0.1', ROS_LOG_DIR=self.path('log'),
+                        ROS_HOSTNAME='127.0.0.1', ROS_LOG_DIR=self.folder,
                         ROS_HOME=self.folder, PYTHONUNBUFFERED='1')
         os.environ.update(self.env)      # for the master's and the nodes' APIs in this process
 
@@ -301,15 +301,6 @@ def usage_of(pid: int) -> Dict[str, float]:
                     'threads': process.num_threads(), 'files': process.num_fds()}
     except (OSError, psutil.Error):
         return {}
-
-
-def has_priority(pid: int) -> bool:
-    """Return whether a thread of the process has real-time priority."""
-    try:
-        return any(os.sched_getscheduler(int(thread)) == os.SCHED_FIFO for thread in
-                   os.listdir(f'/proc/{pid}/task'))
-    except OSError:
-        return False
 
 
 def _runs_in(process: psutil.Process, folder: str) -> bool:

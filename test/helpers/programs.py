@@ -1,5 +1,6 @@
 """Starts programs for a test, ends them with it, and finds what is left of them."""
 import contextlib
+import random
 import socket
 from pathlib import Path
 
@@ -41,7 +42,13 @@ def arguments_of(pid):
 
 
 def free_master():
-    """The address of a master that is not there yet."""
-    with socket.socket() as free:
-        free.bind(('localhost', 0))
-        return f'http://localhost:{free.getsockname()[1]}'
+    """The address of a master that is not there yet.
+
+    Its port is below those from which Linux takes the ports of outgoing connections (32768 …), so
+    that no other program's connection gets it before the master starts, or while it is away.
+    """
+    for port in random.sample(range(20000, 32000), 100):
+        with socket.socket() as free, contextlib.suppress(OSError):
+            free.bind(('', port))
+            return f'http://localhost:{port}'
+    raise OSError('no port is free')

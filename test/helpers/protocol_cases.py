@@ -92,8 +92,8 @@ def give_up(decoder: Any) -> List[Frame]:
 
 
 def valid(frames: Iterable[Frame]) -> List[Frame]:
-    """The valid frames, without their stamps."""
-    return [frame._replace(stamp=None) for frame in frames if not frame.cause]
+    """The valid frames, without what depends on the reads."""
+    return [frame._replace(stamp=None, behind=0) for frame in frames if not frame.cause]
 
 
 def decode(kind: DecoderKind, stream: bytes, end: bool = True) -> Tuple[List[Frame], dict]:

@@ -1,7 +1,6 @@
 """The most expensive streams that anyone can make, beside clean traffic of the same size.
 
-For the test of linear cost, and for a benchmark that times the same streams. Depends on the
-protocol code alone.
+For the test of linear cost. Depends on the protocol code alone.
 """
 from typing import Any, Callable, List, NamedTuple
 

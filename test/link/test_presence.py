@@ -9,9 +9,10 @@ import pytest
 from fake_boards import CarBoard, until
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.boards.arduino.calibration import Calibration
+from serial_communication.link import link as link_module
 from serial_communication.link.link import SILENCE
 from serial_communication.boards.mcu.link import McuLink
-from serial_communication.link.presence import LOOK_PERIOD, STARTUP_TIME, PresenceLog
+from serial_communication.link.presence import LOOK_PERIOD, PresenceLog
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
@@ -83,11 +84,13 @@ def test_a_car_that_calibrates_does_not_count_as_silent(line, logger):
     assert link.talks(later) is None
 
 
-def test_silence_from_the_beginning_is_logged_after_the_startup_time(line, open_link, said):
+def test_silence_from_the_beginning_is_logged_after_the_startup_time(
+        line, open_link, said, monkeypatch):
+    monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.5)
     began = time.monotonic()
     open_link(McuLink, timeout=0.1)
     until(said)
-    assert time.monotonic() >= began + STARTUP_TIME
+    assert time.monotonic() >= began + 0.5
     assert said()[0].startswith('the board is silent')
     talk = mcu.encode(mcu.SensorStatus(1, 2, 0.0, 0.0, 0.0), 0)
     until(lambda: line.write(talk) or len(said()) >= 2)

@@ -1,18 +1,14 @@
-"""The backlog of a stall is dropped: over real ttys, chains of them and sockets, with links in
-suspended processes, and with values that are running numbers."""
+"""The backlog of a stall is dropped: on a real tty, a chain of two, and sockets. The campaign
+suspends the whole bridge."""
+import contextlib
 import os
-import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
-from pathlib import Path
 
 import pytest
 from fake_boards import PATIENCE, BusBoard, until
-from lines import Line, Rfc2217Server
-from programs import started
+from lines import Line
 from waiting import Waiter
 
 from serial_communication.boards.arduino.link import ArduinoLink
@@ -28,109 +24,11 @@ from serial_communication.transport import pace
 from serial_communication.transport.port import Port
 
 pytestmark = [pytest.mark.slow, pytest.mark.stalls]
-PROGRAM = Path(__file__).with_name('one_link.py')
-
-
-class OneLink:
-    """A link in another process; see one_link.py."""
-
-    def __init__(self, kind, url):
-        self.values, self.log, self.stale = [], [], None
-        self.process = subprocess.Popen(
-            [sys.executable, str(PROGRAM), kind, url], stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE, universal_newlines=True,
-            env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
-        self._reader = threading.Thread(target=self._read, name='output of a link', daemon=True)
-        self._reader.start()
-
-    def _read(self):
-        for line in self.process.stdout:
-            kind, _, text = line.rstrip('\n').partition(' ')
-            if kind == 'value':
-                self.values.append(int(text))
-            elif kind == 'log':
-                self.log.append(text)
-            else:
-                self.stale = int(text)
-
-    def suspend(self):
-        """Returns when all its threads have stopped."""
-        self.process.send_signal(signal.SIGSTOP)
-        os.waitpid(self.process.pid, os.WUNTRACED)
-
-    def resume(self):
-        self.process.send_signal(signal.SIGCONT)
-
-    def end(self):
-        """End it; return the number of bytes that it dropped."""
-        self.resume()
-        self.process.stdin.close()
-        self.process.wait(PATIENCE)
-        self._reader.join(PATIENCE)
-        self.process.stdout.close()
-        return self.stale
-
-
-@pytest.fixture
-def one_link():
-    yield from started(OneLink)
 
 
 def status(number):
     """A frame with this number, and a SEQ of its last eight bits."""
     return mcu.encode(mcu.AdcStatus(number % 65536, number // 65536, 0, 0, 0, 0), number % 256)
-
-
-class Numbers:
-    """A board that sends running numbers, one every `pause` s, to a non-blocking descriptor.
-
-    `sent` is the latest number that was sent as a whole, `refused` counts the writes to a full
-    buffer. `accept` returns a descriptor for the next connection when one has ended.
-    """
-
-    def __init__(self, accept, pause=0.005):
-        self.sent = 0
-        self.refused = 0
-        self.pause = pause
-        self._accept = accept
-        self._fd = accept()
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='numbers', daemon=True)
-
-    def start(self):
-        self._thread.start()
-
-    def stop(self):
-        self._ending.set()
-        self._thread.join(PATIENCE)
-
-    def _run(self):
-        rest = b''
-        while not self._ending.is_set():
-            rest = rest or status(self.sent + 1)
-            try:
-                rest = rest[os.write(self._fd, rest):]
-            except BlockingIOError:
-                self.refused += 1
-                time.sleep(0.002)
-                continue
-            except ConnectionError:
-                rest = b''
-                self._fd = self._accept()
-            if not rest:
-                self.sent += 1
-                if self.pause:
-                    time.sleep(self.pause)
-
-
-@pytest.fixture
-def socat(tmp_path):
-    """Two connected pseudo terminals: the path of the near one, the descriptor of the far one."""
-    pair = Line(tmp_path / 'near').plug()
-    fd = os.open(pair.far, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    yield pair.near, fd
-    os.close(fd)
-    pair.unplug()
 
 
 @pytest.fixture
@@ -140,125 +38,6 @@ def server():
         listening.listen(1)
         listening.settimeout(PATIENCE)
         yield listening
-
-
-@pytest.fixture
-def connection(request, line, server):
-    """The URL for the link, and a function that returns the board's descriptor once it is open."""
-    kind = request.param
-    if kind == 'tty':
-        yield line.path, lambda: line.fd
-    elif kind == 'chain':
-        near, fd = request.getfixturevalue('socat')
-        yield near, lambda: fd
-    elif kind == 'rfc2217':
-        relay = Rfc2217Server(server, line.path, connections=2)
-        yield relay.url, lambda: line.fd
-        relay.end()
-    else:
-        peers = []
-
-        def accept():
-            peers.append(server.accept()[0])
-            peers[-1].setblocking(False)
-            return peers[-1].fileno()
-
-        yield 'socket://127.0.0.1:%d' % server.getsockname()[1], accept
-        for peer in peers:
-            peer.close()
-
-
-@pytest.mark.parametrize('connection, burst', [
-    ('tty', False), ('chain', False), ('socket', False), ('rfc2217', False),
-    ('tty', True), ('chain', True), ('socket', True)], indirect=['connection'],
-    ids=lambda each: {False: 'at the rate of a line', True: 'as fast as possible'}.get(each, each))
-def test_values_sent_while_the_bridge_was_suspended_are_not_published(
-        connection, burst, one_link, running):
-    url, fd = connection
-    link = one_link('mcu', url)
-    board = running(Numbers(fd))
-    until(lambda: len(link.values) > 20)
-    link.suspend()
-    first = board.sent + 2      # the next one may be sent in part already
-    began = time.monotonic()
-    board.pause = 0.0 if burst else 0.005
-    sent = 1200 if burst else 50
-    until(lambda: time.monotonic() > began + 1.5
-          and (board.sent > first + sent or board.refused))
-    board.pause = 0.005
-    last = board.sent
-    link.resume()
-    until(lambda: link.values[-1] > last)
-    seen = len(link.values)
-    until(lambda: len(link.values) > seen + 20)
-    board.stop()
-    stale = link.end()
-    old = [value for value in link.values if first <= value <= last]
-    assert not old, f'{len(old)} of the values {first} … {last}'
-    assert link.values == sorted(set(link.values))
-    assert len([text for text in link.log if 'are old and were dropped' in text]) == 1
-    if '://' in url:
-        assert stale and len([text for text in link.log if 'opening it again' in text]) == 1
-    else:
-        assert stale >= (last - first) * 10 if not burst else stale > 20000
-
-
-def test_values_that_a_relay_sends_slowly_after_a_stall_are_not_published(server, one_link):
-    """No faster than the line, as values that are new. But they come over the old connection."""
-    link = one_link('mcu', 'socket://127.0.0.1:%d' % server.getsockname()[1])
-    relays = [server.accept()[0]]
-    number = 0
-
-    def send_next():
-        nonlocal number
-        number += 1
-        try:
-            relays[-1].sendall(status(number))
-        except ConnectionError:
-            relays.append(server.accept()[0])
-
-    until(lambda: send_next() or len(link.values) > 20, every=0.005)
-    link.suspend()
-    first, last = number + 1, number + 400
-    time.sleep(1.0)
-    link.resume()
-    before = len(relays)
-    while number < last and len(relays) == before:
-        send_next()
-        time.sleep(0.005)
-    number = last
-    until(lambda: send_next() or link.values[-1] > last, every=0.005)
-    for relay in relays:
-        relay.close()
-    assert not set(range(first, last + 1)) & set(link.values)
-
-
-def test_a_reply_that_waited_is_not_published_and_the_bus_is_out_of_step(
-        line, one_link, running):
-    link = one_link('bus', line.path)
-    asked = []          # for each request for a reading, the other requests before it
-    others = []
-    wait_for = 10
-
-    def answer(request):
-        if request != bus.ENVIRONMENT_REQUEST:
-            others.append(request)
-            return None
-        asked.append(list(others))
-        del others[:]
-        if len(asked) == wait_for:
-            link.suspend()
-        return bus.Reply(bus.OK, bus.Environment(len(asked), 20.0, 50.0).pack())
-
-    running(BusBoard(line, rule=answer))
-    until(lambda: len(asked) == wait_for)
-    time.sleep(1.0)
-    link.resume()
-    until(lambda: link.values and link.values[-1] > wait_for)
-    assert wait_for not in link.values
-    assert bus.ECHO in [request.cmd1 for request in asked[wait_for]], 'no ECHO before the next'
-    assert link.end() >= len(bus.encode_reply(bus.Reply(bus.OK, bytes(6))))
-    assert any('out of step: the bridge stalled' in text for text in link.log)
 
 
 # -- one link, whose clock jumps ------------------------------------------------------------------
@@ -395,49 +174,80 @@ def test_a_network_port_is_opened_anew_after_a_stall_unless_the_link_has_fences(
 
 
 @pytest.fixture
-def held(line, open_link):
-    """A link that hangs while it passes on the first status, until `free` is set."""
-    entered, free, got = threading.Event(), threading.Event(), []
+def held(request, line, tmp_path, running, logger):
+    """A link that hangs while it passes on the first number, until `free` is set.
+
+    Its line is a tty, or, with the parameter 'chain', two that a program connects; `fd` is the
+    board's end.
+    """
+    path, fd, got, entered, free = line.path, line.fd, [], threading.Event(), threading.Event()
+    if getattr(request, 'param', '') == 'chain':
+        chain = Line(tmp_path / 'near').plug()
+        request.addfinalizer(chain.unplug)
+        path, fd = chain.near, os.open(chain.far, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        request.addfinalizer(lambda: os.close(fd))
 
     def on_status(message, seq, stamp):
-        got.append(seq)
+        got.append(message.adc0 + 65536 * message.adc1)
         entered.set()
         free.wait(PATIENCE)
 
-    link = open_link(McuLink, timeout=60.0, on_status=on_status)
-    link.free, link.got = free, got
-    until(lambda: entered.is_set() or line.write(status(1)))
+    link = running(McuLink(Port(path), timeout=60.0, logger=logger, on_status=on_status))
+    link.free, link.got, link.fd = free, got, fd
+    until(lambda: link.connection.number)
+    os.write(fd, status(1))
+    until(entered.is_set)
     return link
 
 
-def test_a_slow_callback_is_a_stall(line, held):
-    """Frames that arrive meanwhile would get a stamp that is too late."""
-    line.write(status(2))
-    time.sleep(STALL + 0.1)
+@pytest.mark.parametrize('held', ['tty', 'chain'], indirect=True)
+def test_what_fills_the_line_while_a_callback_hangs_is_dropped(held, lines):
+    """It would get a stamp that is too late. The line gives it out in many reads."""
+    number, rest = 1, b''
+
+    def send():
+        nonlocal number, rest
+        if not rest:
+            number += 1
+            rest = status(number)
+        try:
+            rest = rest[os.write(held.fd, rest):]
+            return True
+        except BlockingIOError:
+            return False
+
+    full_at = time.monotonic() + STALL + 0.5
+    until(lambda: not send() and time.monotonic() > full_at, every=0.0)
+    last = number       # sent in part
     held.free.set()
-    until(lambda: held.connection.stale)
-    until(lambda: 3 in held.got or line.write(status(3)))
-    assert 2 not in held.got
+    until(lambda: send() and held.got[-1] > last, every=0.005)
+    assert not set(held.got) & set(range(2, last + 1))
+    assert held.got == sorted(set(held.got)) and held.connection.stale > 4000
+    assert len(lines('are old and were dropped')) == 1
 
 
-def test_tick_is_called_and_stop_works_while_a_backlog_without_end_is_dropped(
-        line, logger, clock):
-    silences = []
+def test_tick_is_called_and_stop_works_while_a_backlog_without_end_is_dropped(line, logger, clock):
+    silences, ended = [], threading.Event()
+
+    def send():
+        while not ended.is_set():
+            with contextlib.suppress(BlockingIOError):
+                os.write(line.fd, status(1))
+
     link = McuLink(Port(line.path), timeout=0.1, logger=logger,
                    on_silence=lambda *status: silences.append(status))
     link.start()
-    board = Numbers(lambda: line.fd, 0.0)
-    board.start()
+    board = Waiter(send)
     until(lambda: link.frames_received)
     clock.begin_stall(link, 5.0)
     del silences[:]
     until(lambda: silences)
     assert is_dropping(link)
-    began = time.monotonic()
     link.stop()
     link.join()
-    assert time.monotonic() - began < 1.0 and not link.port.is_open
-    board.stop()
+    assert not link.port.is_open
+    ended.set()
+    board.result()
 
 
 @pytest.fixture

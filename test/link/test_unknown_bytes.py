@@ -14,6 +14,7 @@ from serial_communication.boards.bus.link import BusLink
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.framing.stream import FRAMING, invalid_frame
+from serial_communication.link import link as link_module
 from serial_communication.link.link import ERROR, RX, WARN
 from serial_communication.link.unknown_bytes import OtherBoard, UnknownBytes
 from serial_communication.transport.port import Port
@@ -38,6 +39,13 @@ def send(line, data, condition, every=0.02):
     until(condition, doing=lambda: line.write(data), every=every)
 
 
+@pytest.fixture(autouse=True)
+def started_up(monkeypatch):
+    """A function that ends the time in which a board may be silent at first."""
+    monkeypatch.setattr(link_module, 'STARTUP_TIME', 1e9)
+    return lambda: monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.0)
+
+
 @pytest.fixture
 def link_of(open_link):
     """A function that starts a link that knows the other boards."""
@@ -48,21 +56,23 @@ def link_of(open_link):
     (McuLink, WARN, TICKS, 'arduino', True), (McuLink, WARN, TICKS, 'arduino', False),
     (ArduinoLink, WARN, STATUS, 'mcu', True), (BusLink, ERROR, STATUS, 'mcu', True)])
 def test_frames_of_another_board_are_reported_as_swapped_ports_if_it_has_one(
-        line, link_of, lines, kind, level, data, name, has_port):
+        line, link_of, lines, started_up, kind, level, data, name, has_port):
     link = link_of(kind, has_port=has_port)
     words = SWAPPED.format(name) if has_port else \
         "bytes come, but they are the arduino's: is this its port?"
     prefix = '' if kind is BusLink else 'open, '
     send(line, data, lambda: link.condition(time.monotonic()) == (level, prefix + words))
+    started_up()
     send(line, data, lambda: lines(words))
     assert lines(words) == [f'{link.name}: {words}{HINT}']
     state = dict(link.report(time.monotonic()).values)['state']
     assert state.partition('; heartbeat gap')[0] == prefix + words
 
 
-def test_bytes_without_any_frame_are_not_reported_as_silence(line, link_of, lines):
+def test_bytes_without_any_frame_are_not_reported_as_silence(line, link_of, lines, started_up):
     link = link_of(McuLink)
     send(line, GARBAGE, lambda: link.condition(time.monotonic()) == (WARN, f'open, {OTHER}'))
+    started_up()
     send(line, GARBAGE, lambda: lines('bytes come'))
     assert lines('the board is silent') == [] and lines(f'mcu: {OTHER}{HINT}')
 
@@ -117,32 +127,33 @@ def test_random_bytes_are_no_text():
     (ArduinoLink, arduino.encode_raw(40, b'\1\2') + arduino.encode_raw(41, b''), '40, 41'),
     (ArduinoLink, b'\x30\0' + arduino.encode_raw(40, b'\1' * 20), '40'),
     (McuLink, mcu.encode_raw(0x20, 0, b'\1'), '32')])
-def test_types_that_nobody_knows_are_not_another_baud_rate(line, link_of, lines, kind, data, types):
+def test_types_that_nobody_knows_are_not_another_baud_rate(
+        line, link_of, lines, started_up, kind, data, types):
     link = link_of(kind)
     words = (f'messages come, but of unknown types ({types}): no row of the parameters, and none '
              'that the board announces, has them')
+    send(line, data, lambda: link.condition(time.monotonic()) == (WARN, f'open, {words}'))
+    started_up()
     send(line, data, lambda: lines(words))
-    assert link.condition(time.monotonic()) == (WARN, f'open, {words}')
     assert not lines('another baud rate') and not lines('the board is silent')
 
 
 @pytest.mark.parametrize('kind, data', [
     (ArduinoLink, arduino.encode_raw(40, b'\1\2')), (McuLink, mcu.encode_raw(0x20, 0, b'\1'))])
 def test_types_that_the_board_may_still_announce_are_no_errors(
-        line, logger, running, lines, kind, data):
+        line, logger, running, lines, monkeypatch, kind, data):
+    monkeypatch.setattr(link_module, '_ANNOUNCING', 1e9)
     link = kind(Port(line.path), logger=logger)
     link.announcement.on_text = lambda text: None
     taken = []
     link.tap = lambda name, direction, frame: direction == RX and taken.append(link.error_count())
-    began = time.monotonic()
     running(link)
     until(lambda: link.port.is_open)
     line.write(data * 3)
     until(lambda: len(taken) == 3)
-    if time.monotonic() < began + 4:
-        assert taken == [0, 0, 0] and not lines('unknown type')
+    assert taken == [0, 0, 0] and not lines('unknown type')
+    monkeypatch.setattr(link_module, '_ANNOUNCING', 0.0)
     send(line, data, link.error_count)
-    assert time.monotonic() >= began + 5
     assert link.decoder.errors['unknown type'] == link.error_count()
 
 
@@ -159,8 +170,9 @@ def test_a_few_bytes_of_noise_are_silence(line, link_of):
     assert link.condition(time.monotonic()) == (WARN, 'open, the board is silent')
 
 
-def test_the_words_change_with_what_is_received(line, link_of, lines):
+def test_the_words_change_with_what_is_received(line, link_of, lines, started_up):
     link = link_of(McuLink)
+    started_up()
     until(lambda: lines('the board is silent'))
     send(line, TICKS, lambda: lines("the arduino's"))
     send(line, STATUS, lambda: lines('ready: the board talks', logging.INFO))

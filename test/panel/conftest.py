@@ -49,7 +49,9 @@ def panel(started_robot):
 
 
 @pytest.fixture(scope='session')
-def control_panel(started_robot):
-    """A panel that takes commands."""
-    with Panel('--control', '--token', TOKEN, name='panel_control') as panel:
+def control_panel(started_robot, tmp_path_factory):
+    """A panel that takes commands, whose token is in a file."""
+    file = tmp_path_factory.mktemp('token') / 'token'
+    file.write_text(TOKEN + '\n')
+    with Panel('--control', '--token', f'@{file}', name='panel_control') as panel:
         yield panel

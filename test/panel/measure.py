@@ -9,7 +9,6 @@ Load: of the panel's process, at the usual rates of the boards, without a page, 
 with the wire open. Stop: from what happens to the browser, the network or the panel until the board
 receives SPEED 0.
 """
-import contextlib
 import math
 import os
 import random
@@ -70,32 +69,13 @@ def latencies(browser, number):
     return sorted(seen[each] - sent[each] for each in sent if each in seen), number
 
 
-@contextlib.contextmanager
-def _cut(network):
-    network.cut()
-    yield
-    network.restore()
-
-
-@contextlib.contextmanager
-def _delayed(network):
-    network.delay()
-    yield
-    network.deliver()
-
-
-@contextlib.contextmanager
-def _killed(browser):
-    yield browser.kill()
-
-
 # Contexts in which a page that drives fails.
 FAILURES = {
     'its tab is hidden': lambda browser, _network, _panel: browser.other_tab(),
-    'its connection is cut': lambda _browser, network, _panel: _cut(network),
-    'the network delivers nothing': lambda _browser, network, _panel: _delayed(network),
+    'its connection is cut': lambda _browser, network, _panel: network.cut(),
+    'the network delivers nothing': lambda _browser, network, _panel: network.delayed(),
     'the browser is suspended': lambda browser, _network, _panel: browser.frozen(),
-    'the browser is killed': lambda browser, _network, _panel: _killed(browser),
+    'the browser is killed': lambda browser, _network, _panel: browser.killed(),
     'the panel is suspended':
         lambda _browser, _network, panel: panel_helpers.suspended(panel.process.pid)}
 
@@ -122,7 +102,7 @@ def time_until_stop(failure, robot, panel):
                      and frame.message.value == 0), None)
     finally:
         browser.quit()
-        network.cut()
+        network.end()
 
 
 def print_times_until_stop():

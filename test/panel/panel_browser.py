@@ -6,6 +6,7 @@ import signal
 import subprocess
 import tempfile
 import time
+from pathlib import Path
 
 from boards import until
 from selenium import webdriver
@@ -19,6 +20,11 @@ _FLAGS = ('--headless=new', '--no-sandbox', '--disable-gpu', '--disable-quic', '
           '--disable-background-networking', '--disable-component-update', '--disable-sync',
           '--disable-dev-shm-usage', '--hide-scrollbars',
           '--host-resolver-rules=MAP rebinding.example 127.0.0.1')
+
+
+def read_script(name):
+    """The JavaScript in a file beside this one, for `Browser.script`."""
+    return (Path(__file__).parent / f'{name}.js').read_text()
 
 
 class Browser:
@@ -38,13 +44,11 @@ class Browser:
         self.scheme('light')
 
     def quit(self):
-        """Close the browser."""
         with contextlib.suppress(WebDriverException):    # it was killed
             self.driver.quit()
         self._profile.cleanup()
 
     def open(self, url):
-        """Open this address."""
         self.driver.get(url)
 
     def resize(self, width, height, scale=1):
@@ -62,15 +66,12 @@ class Browser:
 
     @property
     def title(self):
-        """The title of the tab."""
         return self.driver.title
 
     def script(self, text, *arguments):
-        """Run JavaScript; return its result."""
         return self.driver.execute_script(text, *arguments)
 
     def all(self, selector):
-        """Every element that matches."""
         return self.driver.find_elements(By.CSS_SELECTOR, selector)
 
     def text(self, selector):
@@ -150,7 +151,6 @@ class Browser:
         return ActionChains(self.driver, duration=10)
 
     def click(self, selector):
-        """Click the first element that matches."""
         self.all(selector)[0].click()
 
     def focus(self):
@@ -158,13 +158,11 @@ class Browser:
         self._actions().move_to_element(self.all('h1')[0]).click().perform()
 
     def hover(self, selector):
-        """Point at the first element that matches."""
         element = self.all(selector)[0]
         self.script("arguments[0].scrollIntoView({block: 'center'})", element)
         self._actions().move_to_element(element).perform()
 
     def double_click(self, selector):
-        """Double-click the first element that matches."""
         self._actions().double_click(self.all(selector)[0]).perform()
 
     def press_at(self, selector, right, down):
@@ -175,15 +173,12 @@ class Browser:
             element, right, down).click_and_hold().perform()
 
     def release(self):
-        """Release the mouse."""
         self._actions().release().perform()
 
     def press(self, key):
-        """Press and release a key."""
         self._actions().send_keys(key).perform()
 
     def key_down(self, key):
-        """Press a key and hold it."""
         self._key('keyDown', key)
 
     def key_up(self, key):
@@ -219,14 +214,15 @@ class Browser:
             for process in processes:
                 os.kill(process, signal.SIGCONT)
 
-    def kill(self):
-        """Kill every process of the browser; return when that began."""
+    @contextlib.contextmanager
+    def killed(self):
+        """Before this block, kill every process of the browser; the value is when that began."""
         processes = self._processes()
         began = time.monotonic()
         for process in processes:
             with contextlib.suppress(ProcessLookupError):    # it ended with another
                 os.kill(process, signal.SIGKILL)
-        return began
+        yield began
 
     def _processes(self):
         """The ids of the browser's processes: the descendants of its driver."""

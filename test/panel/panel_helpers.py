@@ -10,14 +10,15 @@ import struct
 import subprocess
 import tempfile
 import threading
+import time
 import urllib.error
 import urllib.request
 from collections import deque
 
 import rosgraph
 import rospy
-from boards import (AIR, PATIENCE, BusBoard, CarBoard, Bridge, Line, SensorBoard, level_imu,
-                    program, ranges, until)
+from boards import (AIR, PATIENCE, BusBoard, CarBoard, Bridge, Line, SensorBoard, again_if_stalled,
+                    level_imu, program, ranges, until)
 
 from serial_communication.boards.arduino import wire as arduino
 
@@ -27,7 +28,6 @@ GRIPPER = arduino.encode_raw(40, struct.pack('<hhB', -25, 500, 3))     # x -2.5,
 
 
 def free_port():
-    """A free TCP port."""
     with socket.socket() as probe:
         probe.bind(('127.0.0.1', 0))
         return probe.getsockname()[1]
@@ -184,7 +184,6 @@ class Panel:
 
     @property
     def alive(self):
-        """Whether the process runs."""
         return self.process.poll() is None
 
     def end(self, number=signal.SIGINT):
@@ -228,25 +227,34 @@ class Network:
         self.url = panel.url.replace(f':{panel.port}/', f':{self.port}/')
         self._command = ['socat', f'TCP-LISTEN:{self.port},bind=127.0.0.1,fork,reuseaddr',
                          f'TCP:127.0.0.1:{panel.port}']
-        self.restore()
+        self._begin()
 
-    def restore(self):
-        """Accept connections, again."""
-        self._process = subprocess.Popen(self._command, start_new_session=True)
-        until(self._answers, 'the network is there')
-
-    def cut(self):
+    def end(self):
         """Close every connection, and accept no other."""
         self._send(signal.SIGKILL)
         self._process.wait()
 
-    def delay(self):
-        """Deliver nothing in either direction; lose nothing."""
-        self._send(signal.SIGSTOP)
+    @contextlib.contextmanager
+    def cut(self):
+        """Inside this block, there is no connection."""
+        self.end()
+        try:
+            yield
+        finally:
+            self._begin()
 
-    def deliver(self):
-        """Deliver everything that was delayed, at once."""
-        self._send(signal.SIGCONT)
+    @contextlib.contextmanager
+    def delayed(self):
+        """Inside this block, nothing is delivered in either direction; then everything at once."""
+        self._send(signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            self._send(signal.SIGCONT)
+
+    def _begin(self):
+        self._process = subprocess.Popen(self._command, start_new_session=True)
+        until(self._answers, 'the network is there')
 
     def _answers(self):
         with socket.socket() as probe:
@@ -258,11 +266,14 @@ class Network:
 
 
 class Page:
-    """A client of a panel's WebSocket, which may also misbehave."""
+    """A client of a panel's WebSocket, which may also misbehave.
+
+    Args:
+        patient: if too many pages are open, wait: those of the test before may still be counted.
+    """
 
     def __init__(self, panel, token=None, watch=(), acknowledges=True, origin='', host='',
-                 reads=True):
-        host = host or f'127.0.0.1:{panel.port}'
+                 reads=True, patient=True):
         self.updates = deque(maxlen=5000)
         self.status = None          # of the HTTP answer
         self.closed = ''            # the reason, once it is closed
@@ -275,11 +286,7 @@ class Page:
         self.acknowledges = acknowledges
         self._fields = {}
         self._sending = threading.Lock()
-        self._socket = socket.socket()
-        self._socket.settimeout(PATIENCE)
-        if not reads:       # and the system buffers little
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-        self._socket.connect(('127.0.0.1', panel.port))
+        host = host or f'127.0.0.1:{panel.port}'
         lines = ['GET /socket HTTP/1.1', f'Host: {host}', 'Upgrade: websocket',
                  'Connection: Upgrade', 'Sec-WebSocket-Version: 13',
                  'Sec-WebSocket-Key: ' + base64.b64encode(os.urandom(16)).decode()]
@@ -288,15 +295,26 @@ class Page:
         if token:
             status, _headers, key = panel.exchange(token)
             lines.append(f'Sec-WebSocket-Protocol: panel, {key if status == 200 else token}')
-        self._socket.sendall(('\r\n'.join(lines) + '\r\n\r\n').encode())
-        self._stream = self._socket.makefile('rb')
-        self.status = int(self._stream.readline().split()[1])
-        while self._stream.readline().strip():
-            pass
+        header = ('\r\n'.join(lines) + '\r\n\r\n').encode()
+        until(lambda: self._connect(panel.port, header, reads) != 503 or not patient,
+              'there is room for another page', every=0.1)
         if self.status == 101:
             self.send(watch=list(watch))
             if reads:
                 threading.Thread(target=self._read, daemon=True).start()
+
+    def _connect(self, port, header, reads):
+        self._socket = socket.socket()
+        self._socket.settimeout(PATIENCE)
+        if not reads:       # and the system buffers little
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        self._socket.connect(('127.0.0.1', port))
+        self._socket.sendall(header)
+        self._stream = self._socket.makefile('rb')
+        self.status = int(self._stream.readline().split()[1])
+        while self._stream.readline().strip():
+            pass
+        return self.status
 
     def __enter__(self):
         return self
@@ -314,6 +332,28 @@ class Page:
         """Send a message with the time of the latest update."""
         self.write(json.dumps({'seen': self.now, **message}).encode())
 
+    def call(self, name, **arguments):
+        """Call a service until it is answered; return the answer."""
+        self.until(lambda page: name in page.known.get('controls', {}).get('services', ()), name)
+
+        def answer():
+            key = f'{name} at {time.monotonic()}'        # a page also receives earlier calls
+            self.send(call={'key': key, 'name': name, 'arguments': arguments})
+            return self.answer(key)
+        return again_if_stalled(answer)
+
+    def answer(self, key):
+        """Wait for the answer to a call and return it; None if a stall of this machine kept the
+        call back, and it may be repeated."""
+        self.until(lambda page: key in page.refusals or page.calls.get(key, {}).get('outcome'),
+                   'the answer')
+        words = self.refusals.get(key) or self.calls[key]['words']
+        if re.search('press again|call again|one call at a time|while the bridge stalled', words):
+            time.sleep(0.6)       # or the next one may be a double click
+            return None
+        assert key in self.calls, words
+        return self.calls[key]
+
     def write(self, data, kind=0x81):
         """Send these bytes as one message, or as one WebSocket frame of another kind."""
         mask = os.urandom(4)
@@ -323,7 +363,6 @@ class Page:
         self.send_raw(size + mask + masked)
 
     def send_raw(self, data):
-        """Send these bytes as they are."""
         with self._sending:
             try:
                 self._socket.sendall(data)

@@ -20,6 +20,7 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / 'ros'), str(Path(__file__).parent)]
 
 import panel_helpers  # noqa: E402
+import stamps_picture  # noqa: E402
 from boards import Bridge, Line, program  # noqa: E402
 from panel_browser import Browser  # noqa: E402
 
@@ -171,6 +172,17 @@ def take_faulty(browser, folder, out):
         take_terminal(browser, folder, out)
 
 
+def take_stamps(browser, folder, out):
+    """Take the picture of stamps."""
+    line = Line(str(folder / 'stamps')).plug()
+    points = stamps_picture.measure(running, folder, line)
+    line.unplug()
+    path = folder / 'stamps.html'
+    path.write_text(stamps_picture.page(points))
+    browser.open(path.as_uri())
+    save(browser.picture('svg'), out / 'board_time.png')
+
+
 def main():
     """Take all pictures."""
     out = Path(sys.argv[1])
@@ -180,6 +192,7 @@ def main():
     browser = Browser()
     with tempfile.TemporaryDirectory(prefix='pictures_') as folder:
         try:
+            take_stamps(browser, Path(folder), out)
             take_intact(browser, out)
             take_faulty(browser, Path(folder), out)
         finally:

@@ -1,11 +1,13 @@
 """The page in a browser: its display, its commands, and outages of bridge, master and panel."""
 import contextlib
+import math
 import os
 import re
 import shutil
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from itertools import count, starmap
 
 import pytest
 import rospy
@@ -19,9 +21,11 @@ from std_msgs.msg import ColorRGBA, Float32, Float64, Int64, String
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
 from serial_communication.link.outcome import NOT_SENT, Outcome
-from serial_communication.msg import Environment, McuStatus2, SteeringFeedback, Ticks, Voltage
+from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand, SteeringFeedback,
+                                      Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.mcu import wire as mcu
 from serial_communication.srv import Lift, LiftResponse
 from serial_communication.tools.watch.topics import TOPICS
 
@@ -29,7 +33,7 @@ if not shutil.which('chromedriver') and os.path.isdir('/opt/ros/noetic'):
     pytest.skip('no browser: Ubuntu has chromium only as a snap, which no driver can start',
                 allow_module_level=True)
 
-from panel_browser import Browser  # noqa: E402
+from panel_browser import Browser, read_script  # noqa: E402
 
 LEFT, RIGHT = '\ue012', '\ue014'
 UP = '\ue013'
@@ -57,7 +61,7 @@ def network(control_panel):
     """The network between the browser and the panel that takes commands."""
     network = Network(control_panel)
     yield network
-    network.cut()
+    network.end()
 
 
 @pytest.fixture
@@ -84,6 +88,34 @@ def wait_for_answer(page, words, **options):
 
 def wait_for_attribute(page, selector, name, value):
     page.wait(lambda page: page.attribute(selector, name) == value, f'{selector} has {value}')
+
+
+def press(page, button, holds, what, click=None):
+    """Press an enabled button until `holds(page)`; again if a stall kept the command back.
+
+    Args:
+        click: how to press it, called with `button`; by default one click.
+    """
+    def stalled():
+        newest = ''.join(page.texts('.answers li')[:1])
+        return re.search('press again|may have waited while the bridge stalled', newest)
+
+    def press_again():
+        if stalled() and page.all(button + ':enabled'):
+            (click or page.click)(button)
+    page.wait(lambda page: page.all(button + ':enabled'), f'{button} is enabled')
+    (click or page.click)(button)
+    page.wait(lambda page: not stalled() and holds(page), what, doing=press_again)
+
+
+def watch_texts(page, place):
+    """Return a function that returns the texts that this element has shown since now."""
+    page.script("""
+        const place = document.querySelector(arguments[0]);
+        window.texts = [place.textContent];
+        new MutationObserver(() => texts.push(place.textContent)).observe(
+            place, {childList: true});""", place)
+    return lambda: page.script('return texts')
 
 
 def wait_until_settled(page):
@@ -187,13 +219,22 @@ def test_a_heartbeat_gap_is_marked_until_it_is_over_and_dropped_bytes_are_shown(
                        'return gap.scrollWidth <= gap.clientWidth', card + ' .gap'), 'it is cut off'
 
 
+def test_the_read_delay_of_a_board_that_sends_its_time_is_shown(page, robot):
+    facts = '[data-link="mcu"] .facts'
+    assert 'read delay' not in page.text(facts)
+    started = time.monotonic()
+
+    def shown(page):
+        robot.sensors.write(mcu.encode(mcu.Time(round((time.monotonic() - started) * 1e6)), 0))
+        return re.search(r'read delay\s+[0-9.]+ ms', page.text(facts))
+    page.wait(shown, 'the delay')
+
+
 def test_an_error_is_shown_and_counted_by_its_cause(page, robot):
     card = '[data-link="mcu"]'
     wait_for_attribute(page, card, 'data-health', 'ok')
     before = int(page.text(card + ' .count'))
-    page.script("""window.announced = [];
-        new MutationObserver(() => announced.push(document.getElementById('announcer').textContent))
-            .observe(document.getElementById('announcer'), {childList: true});""")
+    announced = watch_texts(page, '#announcer')
     for _ in range(3):
         robot.sensors.write(b'\x02\x0c\x10\x00' + bytes(10) + b'\x00\x03')    # a wrong CRC
     wait_for_attribute(page, card, 'data-health', 'warn')
@@ -201,20 +242,7 @@ def test_an_error_is_shown_and_counted_by_its_cause(page, robot):
     assert 'checksum' in page.text(card + ' .causes')
     # Or that of the arduino, whose heartbeat is late while this machine is busy.
     page.wait(lambda page: re.match('! (mcu|arduino): warning', page.title), 'the title shows it')
-    assert any('mcu link: warning' in each for each in page.script('return announced'))
-
-
-def test_a_stale_value_shows_its_age(page, robot):
-    robot.others = robot.others[1:]         # no VOLTAGE; everything else is still sent
-    try:
-        reading = '[data-reading="~voltage:voltage"]'
-        wait_for_attribute(page, reading, 'data-state', 'stale')
-        assert page.text(reading + ' .age').endswith(' old')
-        assert page.attribute('[data-reading="~ticks:ticks"]', 'data-state') == 'fresh'
-    finally:
-        robot.others = [arduino.Voltage(7.4)] + robot.others
-    wait_for_attribute(page, reading, 'data-state', 'fresh')
-    assert page.text(reading + ' .age') == ''
+    assert any('mcu link: warning' in each for each in announced())
 
 
 HOSTILE = '<img src=x onerror=document.title="pwned"><script>document.title="pwned"</script>'
@@ -235,7 +263,7 @@ def test_markup_in_a_text_is_shown_as_text(page, robot):
     page.script("document.getElementById('card-wire').open = false")
 
 
-def test_the_wire_shows_filters_and_pauses_frames(page, robot):
+def test_the_wire_shows_filters_pauses_and_explains_frames(page, robot):
     page.click('#card-wire > summary')
     page.wait(lambda page: len(page.all('.frame')) == 16, 'frames are shown')
     for word in ('mcu', 'arduino'):
@@ -251,12 +279,7 @@ def test_the_wire_shows_filters_and_pauses_frames(page, robot):
     assert page.text('.frames') == shown
     page.click('.tools button')
     page.wait(lambda page: page.text('.frames') != shown, 'it continues')
-    page.click('#card-wire > summary')
-
-
-def test_pointing_at_a_field_highlights_its_bytes_and_the_reverse(page, robot):
-    page.click('#card-wire > summary')
-    page.wait(lambda page: page.all('.frame'), 'frames are shown')
+    # Pointing at a field highlights its bytes, and the reverse.
     page.script("[...document.querySelectorAll('.chip')]"
                 ".filter(chip => !/sensor status|mcu$/.test(chip.firstChild.textContent)"
                 " && chip.ariaPressed == 'true').forEach(chip => chip.click())")
@@ -298,122 +321,191 @@ def test_a_plot_zooms_pauses_and_shows_values_at_the_cursor_by_keyboard(page):
     page.wait(lambda page: re.fullmatch(values, page.text(note)), 'pointing shows them, too')
 
 
+_GAUGE = """
+from serial_communication.boards.description import Description, Field, Service, Topic
+
+DESCRIPTION = Description(
+    'gauge', __name__, lambda sent, parameters: None, 'rain gauge',
+    topics=(Topic('~rain', 'std_msgs/Float32', card='Weather'),
+            Topic('~sun', 'sensor_msgs/Range', card='Weather'),
+            Topic('~breeze', 'geometry_msgs/Vector3')),
+    services=(Service('~tilt', 'serial_communication/Lift', 'tilt the funnel', (
+                  Field('distance', 'constructor', maximum=30, preset=3),
+                  Field('direction', choices=(('\u25b2 out', 0), ('\u25bc in', 1))))),
+              Service('~empty', 'std_srvs/Trigger', 'empty', confirm='Its water runs out.'),
+              Service('~unknown', 'nowhere/Type', 'unknown')))
+"""
+PARAMETERS = {
+    '~boards': ['wet_gauge', 'not_installed'],
+    # A row's name that the bridge itself would refuse.
+    '~bus/functions': {'pump': {'cmd2': 48, 'srv_type': 'std_srvs/SetBool'},
+                       HOSTILE: {'cmd2': 49, 'srv_type': 'std_srvs/Trigger'}}}
+MESSAGES = {
+    '~rain': Float32(4.5), '~sun': Range(min_range=0, max_range=2, range=0.5),
+    '~breeze': Vector3(1, 2, 3), '~wind': Vector3(1.5, -2.25, 1.25e-9),
+    '~colour': ColorRGBA(1, 2, 3, 4), '~motto': String('<b>semper idem</b>'),
+    '~big': Int64(2 ** 43), '~bigger': Int64(2 ** 63 - 1), '~huge': Float64(1.7e308),
+    '~least': Float64(-1.7e308), '~level': Float64(1e300),
+    # Limits that are not finite, as another program may publish them.
+    '~odd': Range(min_range=float('nan'), max_range=float('inf'), range=0.25)}
+
+
+def statuses(number):
+    """What the links report; some of it grows with the number."""
+    causes = {'constructor': str(number), '__proto__': str(number), 'x' * 5000: '5',
+              'square': '\u00b2'}
+    values = {'constructor': {**{f'{cause} errors': count for cause, count in causes.items()},
+                              'port': 'p' * 5000, 'timeouts': 't' * 5000},
+              'bus': {'port': HOSTILE, HOSTILE: HOSTILE, f'{HOSTILE} errors': '3'},
+              'gauge': {'port': 'none'}}
+    words = {'constructor': 'm' * 5000, 'bus': HOSTILE, 'gauge': 'ready'}
+    return [DiagnosticStatus(name=f'odd: {link} link', message=words[link],
+                             values=list(starmap(KeyValue, pairs.items())))
+            for link, pairs in values.items()]
+
+
 class SimulatedBridge:
-    """A bridge that this process simulates, and a panel for it, until a test ends."""
+    """A bridge that this process simulates, with custom rows and a board of another package.
 
-    def __init__(self, browser, folder):
-        self._browser, self._folder = browser, str(folder)
-        self._stack = contextlib.ExitStack()
+    Attributes:
+        asked: the calls of its services.
+        panel: a panel for it, with commands.
+    """
 
-    def set(self, name, value):
-        """Set a parameter."""
-        rospy.set_param(name, value)
-        self._stack.callback(rospy.delete_param, name)
+    def __init__(self, folder, stack):
+        self.asked = []
+        (folder / 'wet_gauge').mkdir()
+        (folder / 'wet_gauge' / '__init__.py').write_text(_GAUGE)
+        for name, value in PARAMETERS.items():
+            rospy.set_param(name, value)
+        self._topics = {name: rospy.Publisher(name, type(message), queue_size=1) for name, message
+                        in [*MESSAGES.items(), ('/diagnostics', DiagnosticArray())]}
+        for topic in self._topics.values():
+            stack.callback(topic.unregister)
+        for name, kind in ('~pump', SetBool), ('~tilt', Lift), ('~empty', Trigger):
+            stack.callback(rospy.Service(name, kind, getattr(self, '_' + name[1:])).shutdown)
+        self._numbers = count()
+        stack.callback(rospy.Timer(rospy.Duration(0.05), self._publish).shutdown)
+        self.panel = stack.enter_context(Panel(
+            '--control', '--token', TOKEN, '--node', rospy.get_name(), name='panel_simulated',
+            environment={'PYTHONPATH': f'{folder}:{os.environ["PYTHONPATH"]}'}))
 
-    def topic(self, name, kind, message=None):
-        """Return a publisher; with a message, it is latched."""
-        topic = rospy.Publisher(name, kind, queue_size=1, latch=message is not None)
-        self._stack.callback(topic.unregister)
-        if message is not None:
-            topic.publish(message)
-        return topic
+    def _publish(self, _event):
+        for name, message in MESSAGES.items():
+            self._topics[name].publish(message)
+        self._topics['/diagnostics'].publish(
+            DiagnosticArray(status=statuses(next(self._numbers))))
 
-    def service(self, name, kind, answer):
-        """Serve it."""
-        self._stack.callback(rospy.Service(name, kind, answer).shutdown)
+    def _pump(self, request):
+        self.asked.append(request.data)
+        return SetBoolResponse(request.data, 'the pump runs' if request.data
+                               else Outcome(NOT_SENT, 'it is empty').text)
 
-    def repeat(self, function):
-        """Call it 20 times a second."""
-        self._stack.callback(rospy.Timer(rospy.Duration(0.05), lambda _event: function()).shutdown)
+    def _tilt(self, request):
+        self.asked.append((request.direction, request.distance))
+        return LiftResponse(success=True)
 
-    def report(self, status):
-        """Report the status of a link."""
-        topic = self.topic('/diagnostics', DiagnosticArray)
-        self.repeat(lambda: topic.publish(DiagnosticArray(status=[status])))
+    def _empty(self, _request):
+        self.asked.append('empty')
+        return TriggerResponse(True, 'it is dry')
 
-    def package(self, name, text):
-        """Make a package that the panel can import."""
-        os.mkdir(os.path.join(self._folder, name))
-        with open(os.path.join(self._folder, name, '__init__.py'), 'w') as file:
-            file.write(text)
 
-    def open(self, name, *arguments):
-        """Show the page of a panel."""
-        panel = Panel(*arguments, '--node', rospy.get_name(), name=name, environment={
-            'PYTHONPATH': f'{self._folder}:{os.environ["PYTHONPATH"]}'})
-        self._stack.callback(panel.end)
-        self._stack.callback(self._browser.open, 'about:blank')
-        self._browser.open(panel.url)
-        self._browser.wait_for_text('#connection', 'live')
-
-    def close(self):
-        """End all of it."""
-        with self._stack:
-            assert self._browser.errors() == []
+@pytest.fixture(scope='module')
+def bridge(core, tmp_path_factory):
+    with contextlib.ExitStack() as stack:
+        yield SimulatedBridge(tmp_path_factory.mktemp('packages'), stack)
 
 
 @pytest.fixture
-def bridge(chromium, core, tmp_path):
-    bridge = SimulatedBridge(chromium, tmp_path)
-    yield bridge
-    bridge.close()
+def custom_page(chromium, bridge):
+    """The page of a simulated bridge."""
+    bridge.asked.clear()
+    chromium.open('about:blank')
+    chromium.open(bridge.panel.url)
+    chromium.wait_for_text('#connection', 'live')
+    chromium.focus()
+    yield chromium
+    assert chromium.errors() == []
 
 
-def test_custom_topics_appear_and_vanish(chromium, bridge):
-    wind, words = bridge.topic('~wind', Vector3), bridge.topic('~motto', String)
-    colour = bridge.topic('~colour', ColorRGBA)
-    bridge.repeat(lambda: (wind.publish(1.5, -2.25, 1.25e-9), colour.publish(1, 2, 3, 4),
-                           words.publish('<b>semper idem</b>')))
-    bridge.open('panel_custom')
+def test_custom_topics_appear_and_vanish(custom_page):
+    page = custom_page
     card = '[data-custom="~wind"] '
-    chromium.wait_for_text('[data-reading="~wind:y"] .number', '\N{MINUS SIGN}2.25')
-    assert chromium.text('[data-reading="~wind:x"] .number') == '1.5'
-    assert chromium.text('[data-reading="~wind:z"] .number') == '1.25e\N{MINUS SIGN}9'
-    assert len(chromium.all(card + 'canvas')) == 1      # the parts of one vector
-    chromium.wait_for_text('[data-reading="~colour:a"] .number', '4')
-    assert len(chromium.all('[data-custom="~colour"] canvas')) == 4
-    chromium.wait_for_text('[data-reading="~motto:data"] .number', '<b>semper idem</b>')
-    assert not chromium.all('[data-custom="~motto"] canvas')
-    # A range whose limits are not finite, as another program may publish it.
-    bridge.topic('~odd', Range, Range(min_range=float('nan'), max_range=float('inf'), range=0.25))
-    later = bridge.topic('~later', Float32, Float32(7.0))
-    chromium.wait_for_text('[data-reading="~odd:range"] .number', '0.250')
-    chromium.wait_for_text('[data-reading="~later:data"] .number', '7')
+    page.wait_for_text('[data-reading="~wind:y"] .number', '\N{MINUS SIGN}2.25')
+    assert page.text('[data-reading="~wind:x"] .number') == '1.5'
+    assert page.text('[data-reading="~wind:z"] .number') == '1.25e\N{MINUS SIGN}9'
+    assert len(page.all(card + 'canvas')) == 1      # the parts of one vector
+    page.wait_for_text('[data-reading="~colour:a"] .number', '4')
+    assert len(page.all('[data-custom="~colour"] canvas')) == 4
+    page.wait_for_text('[data-reading="~motto:data"] .number', '<b>semper idem</b>')
+    assert not page.all('[data-custom="~motto"] canvas')
+    page.wait_for_text('[data-reading="~odd:range"] .number', '0.250')
+    later = rospy.Publisher('~later', Float32, queue_size=1, latch=True)
+    later.publish(7.0)
+    page.wait_for_text('[data-reading="~later:data"] .number', '7')
     later.unregister()
-    chromium.wait(lambda page: not page.all('[data-custom="~later"]'), 'the card vanishes')
+    page.wait(lambda page: not page.all('[data-custom="~later"]'), 'the card vanishes')
+    # Those of a board of another package: one card for two, a value with limits as a bar.
+    weather = '[data-custom="Weather"] '
+    page.wait_for_text(weather + '[data-reading="~rain:data"] .number', '4.5')
+    page.wait_for_text(weather + '[data-range="~sun:range"] .number', '0.500 m')
+    page.wait_for_text('[data-custom="~breeze"] [data-reading="~breeze:y"] .number', '2')
 
 
-def test_extreme_numbers_and_names_do_no_harm(chromium, bridge):
-    values = {'big': (Int64, 2 ** 43), 'bigger': (Int64, 2 ** 63 - 1),
-              'huge': (Float64, 1.7e308), 'least': (Float64, -1.7e308), 'level': (Float64, 1e300)}
-    publishers = [(bridge.topic('~' + name, kind), number)
-                  for name, (kind, number) in values.items()]
-    causes = {'constructor': '3', '__proto__': '4', 'x' * 5000: '5', 'square': '\u00b2'}
-    status = DiagnosticStatus(name='odd: constructor link', message='m' * 5000, values=[
-        KeyValue(f'{cause} errors', count) for cause, count in causes.items()]
-        + [KeyValue('port', 'p' * 5000), KeyValue('timeouts', 't' * 5000)])
-
-    def publish():
-        for publisher, number in publishers:
-            publisher.publish(number)
-        for pair in status.values[:2]:
-            pair.value = str(int(pair.value) + 1)
-    bridge.repeat(publish)
-    bridge.report(status)
-    bridge.open('panel_odd')
+def test_extreme_numbers_and_names_do_no_harm(custom_page):
+    page = custom_page
     for name, text in (('big', str(2 ** 43)), ('bigger', str(2 ** 63 - 1)),
                        ('huge', '1.7e+308'), ('least', '\N{MINUS SIGN}1.7e+308')):
-        chromium.wait_for_text(f'[data-reading="~{name}:data"] .number', text)
-    chromium.wait_for_updates(20)       # so that all are drawn
+        page.wait_for_text(f'[data-reading="~{name}:data"] .number', text)
+    page.wait_for_updates(20)       # so that all are drawn
     card = '[data-link="constructor"] '
     for cause in ('constructor', '__proto__'):
-        chromium.wait(lambda page, cause=cause: int(page.text(
+        page.wait(lambda page, cause=cause: int(page.text(
             f'{card} [data-cause="{cause}"] b') or 0) > 0, f'{cause} is counted')
-    assert 'function' not in chromium.text(card)
-    assert chromium.script('return document.documentElement.scrollWidth <= innerWidth')
-    with phone(chromium):
-        chromium.wait(lambda page: page.script(
+    assert 'function' not in page.text(card)
+    assert page.script('return document.documentElement.scrollWidth <= innerWidth')
+    with phone(page):
+        page.wait(lambda page: page.script(
             'return document.documentElement.scrollWidth') == PHONE[0], 'it fits')
+
+
+def test_a_custom_function_is_offered_and_hostile_names_are_shown_as_text(custom_page, bridge):
+    page, form = custom_page, '[data-service="~pump"] '
+    page.wait(lambda page: page.all(form + 'button'), 'the function is offered')
+    for outcome in ('refused', 'done'):
+        press(page, form + 'button',
+              lambda page: page.attribute('.answers li', 'data-outcome') == outcome, outcome)
+        page.click(form + 'input')
+    assert bridge.asked == [False, True]
+    answers = page.text('.answers')
+    assert 'the pump runs' in answers and 'it is empty' in answers
+    for place in '.summary', '.port', 'legend':
+        assert any(HOSTILE in each for each in page.script(
+            'return [...document.querySelectorAll(arguments[0])].map(e => e.textContent)',
+            place)), place
+    assert 'pwned' not in page.title
+    assert page.all('main img') == page.all('main script') == []
+
+
+def test_services_of_a_fourth_board_are_those_of_its_description(custom_page, bridge):
+    page, tilt, empty = custom_page, '[data-service="~tilt"] ', '[data-service="~empty"] '
+    page.wait(lambda page: page.all(tilt + 'button:enabled'), 'its service is offered')
+    assert page.text(tilt + 'legend') == 'tilt the funnel'
+    assert page.texts(tilt + 'button') == ['\u25b2 out', '\u25bc in']
+    assert page.text(tilt + 'label') == 'constructor'        # a unit may have any name
+    assert page.attribute(tilt + 'input', 'max') == '30'
+    assert not page.all('[data-service="~unknown"]')
+    assert page.text('[data-link="gauge"] .card-head .note') == 'rain gauge'
+    press(page, tilt + 'button:last-of-type', lambda page: page.text('.answers li').startswith(
+        'tilt the funnel in 3 constructor done'), 'it is called')
+
+    def confirm(button):
+        page.click(button)
+        assert page.text(empty + 'dialog p') == 'Its water runs out.'
+        page.click(empty + 'dialog button')
+    press(page, empty + 'button', lambda page: 'it is dry' in page.text('.answers li'),
+          'it is called, too', confirm)
+    assert bridge.asked == [(1, 3), 'empty']
 
 
 def test_an_error_is_still_counted_when_its_warning_is_over(page):
@@ -437,32 +529,28 @@ def phone(page):
         page.resize(1600, 1000)
 
 
-def test_on_a_phone_commands_and_drive_are_one_tab_each_and_stop_is_always_in_sight(control_page):
+def test_on_a_phone_each_part_is_a_tab_and_stop_always_in_sight(control_page, robot):
     page = control_page
     with phone(page):
         tabs = [tab for tab in page.texts('.tabs button') if tab]
         assert tabs == ['Links', 'Drive', 'Commands', 'Car', 'Sensors', 'Wire']
         for tab in tabs:
-            page.script("[...document.querySelectorAll('.tabs button')]"
-                        ".find(b => b.textContent == arguments[0]).click()", tab)
-            page.script('scrollTo(0, document.body.scrollHeight)')
-            page.wait_for_updates(2)
-            assert page.script('return document.documentElement.scrollWidth') == PHONE[0]
-            assert all(top >= 0 and bottom <= PHONE[1] for top, bottom in page.script(
-                "return [...document.querySelectorAll('#stop, .tabs button')]"
-                ".map(e => e.getBoundingClientRect()).map(box => [box.top, box.bottom])"))
-            shown = {card.get_attribute('data-tab') for card in page.all('main [data-tab]')
-                     if card.is_displayed()}
-            assert shown == {tab}
-            if tab == 'Drive':
-                assert page.script("return document.getElementById('pad')"
-                                   ".getBoundingClientRect().bottom") < PHONE[1] - 60
+            shown, width, boxes, pad = page.script("""
+                const every = (selector) => [...document.querySelectorAll(selector)];
+                every('.tabs button').find((each) => each.textContent === arguments[0]).click();
+                scrollTo(0, document.body.scrollHeight);
+                const box = (element) => element.getBoundingClientRect();
+                return [every('main [data-tab]').filter((each) => each.checkVisibility())
+                            .map((each) => each.dataset.tab),
+                        document.documentElement.scrollWidth,
+                        every('#stop, .tabs button').map(box).map(({top, bottom}) => [top, bottom]),
+                        box(document.getElementById('pad')).bottom];""", tab)
+            assert set(shown) == {tab} and width == PHONE[0]
+            assert all(top >= 0 and bottom <= PHONE[1] for top, bottom in boxes)
+            assert tab != 'Drive' or 0 < pad < PHONE[1] - 60
         page.script("document.querySelector('.tabs button').click()")
-
-
-def test_a_long_name_of_a_port_is_shortened_in_its_middle(page, robot):
-    port = '[data-link="mcu"] .port'
-    with phone(page):
+        # A long name of a port is shortened in its middle.
+        port = '[data-link="mcu"] .port'
         page.wait(lambda page: page.script(
             'return document.querySelector(arguments[0]).textContent', port)
             == robot.lines['mcu'].near, 'it is shown')
@@ -482,51 +570,19 @@ _SMALL = '''
       .map(([what]) => what);'''
 
 
-# The texts with a contrast below 4.5 (WCAG AA). Links are shown in the given health.
-_FAINT = r'''
-    const health = arguments[0];
-    document.querySelectorAll('.link').forEach(e => { e.dataset.health = health; });
-    const canvas = document.createElement('canvas').getContext('2d', {willReadFrequently: true});
-    const rgba = (colour) => {
-      canvas.clearRect(0, 0, 1, 1); canvas.fillStyle = colour; canvas.fillRect(0, 0, 1, 1);
-      return [...canvas.getImageData(0, 0, 1, 1).data];
-    };
-    const behind = (e) => {
-      for (; e; e = e.parentElement) {
-        const found = rgba(getComputedStyle(e).backgroundColor);
-        if (found[3] === 255) return found;
-      }
-      return rgba('white');
-    };
-    const light = ([r, g, b]) => [r, g, b].map(v => v / 255).map(v => v <= 0.04045 ? v / 12.92
-      : ((v + 0.055) / 1.055) ** 2.4)
-      .reduce((sum, v, at) => sum + v * [0.2126, 0.7152, 0.0722][at], 0);
-    const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), faint = [];
-    while (texts.nextNode()) {
-      const e = texts.currentNode.parentElement, text = texts.currentNode.textContent.trim();
-      if (!text || !e.checkVisibility() || e.closest('.visually-hidden, :disabled')) continue;
-      const [a, b] = [light(rgba(getComputedStyle(e).color)), light(behind(e))];
-      const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
-      if (contrast < 4.5) faint.push(`${contrast.toFixed(2)} ${e.className} ${text.slice(0, 40)}`);
-    }
-    return faint;'''
-
-
-def test_every_target_is_at_least_24_px_large_and_every_text_has_enough_contrast(control_page):
+def test_everybody_can_reach_and_read_everything(control_page):
     assert control_page.script(_SMALL) == []
     with phone(control_page):
         assert control_page.script(_SMALL) == []
-    backgrounds = []
+    faint_texts, backgrounds = read_script('faint_texts'), []
     for scheme in ('dark', 'light'):        # as the system has it
         control_page.scheme(scheme)
         backgrounds.append(control_page.script(
             'return getComputedStyle(document.body).backgroundColor'))
         for health in ('ok', 'warn', 'error', 'none'):
-            assert control_page.script(_FAINT, health) == [], (scheme, health)
+            assert control_page.script(faint_texts, health) == [], (scheme, health)
     assert backgrounds == ['rgb(14, 17, 20)', 'rgb(243, 244, 246)']
-
-
-def test_every_control_is_reached_by_tab_and_has_a_name(control_page):
+    # Every control is reached by tab, and has a name.
     wanted = control_page.script(
         "return [...document.querySelectorAll('button, input, summary, [tabindex]')]"
         ".filter(e => e.checkVisibility() && !e.disabled).length")
@@ -554,53 +610,44 @@ def test_a_wrong_amount_moves_nothing_and_a_double_click_moves_once(control_page
             assert control_page.all(amount + ':invalid')
     control_page.wait_for_updates(15)
     assert not robot.lift_requests and control_page.all(up + ':enabled')
-    control_page.double_click(up)
-    control_page.wait(lambda page: 'done' in page.text('.answers'), 'the answer is shown')
+    press(control_page, up, lambda page: 'done' in page.text('.answers li'), 'the answer is shown',
+          control_page.double_click)
     control_page.wait(lambda page: page.all(up)[0].is_enabled(), 'the button is enabled again')
     assert [request.data for request in robot.lift_requests] == [bytes((0, 20))]
     assert 'lift up 20 mm done' in control_page.text('.answers li')
 
 
 def test_a_control_is_disabled_until_its_call_is_answered(control_page, robot):
-    robot.bus.script.append(b'')        # no answer until the timeout
-    down = '[data-service="~lift"] button:last-of-type'
-    # Checked at the same moment: the call is under way for a second.
-    press(control_page, down, lambda page: page.script(
-        "return document.querySelector('.answers').innerText.includes('under way') &&"
-        "[...document.querySelectorAll('[data-service=\"~lift\"] button')]"
-        ".every(button => button.disabled)"), 'it is under way, and every button is disabled')
-    wait_for_attribute(control_page, '.answers li', 'data-outcome', 'not known')
-    control_page.wait(lambda page: page.all(down)[0].is_enabled(), 'the button is enabled again')
-    assert 'not known' in control_page.text('.answers li .outcome')
-    assert 'look before you repeat it' in control_page.text('.answers li')
-    assert len(robot.lift_requests) == 1
+    down, answer = '[data-service="~lift"] button:last-of-type', '.answers li'
+    # The page itself looks, since the call is under way for a second only.
+    control_page.script("""
+        const commands = document.querySelector('.commands').parentElement;
+        const buttons = [...document.querySelectorAll('[data-service="~lift"] button')];
+        new MutationObserver(() => {
+          window.wereDisabled ||= buttons.every((button) => button.disabled)
+            && commands.querySelector('.answers').textContent.includes('under way');
+        }).observe(commands, {subtree: true, childList: true, attributes: true});""")
 
-
-def press(page, button, holds, what):
-    """Press a button until `holds(page)`: again if nothing was sent, as on a busy machine."""
-    def press_again():
-        answers = page.texts('.answers li')
-        if answers and 'nothing was sent' in answers[0] and page.all(button + ':enabled'):
-            page.click(button)
-
-    page.click(button)
-    page.wait(holds, what, doing=press_again)
-
-
-def drop_connection(page, network):
-    """Cut the connection, and restore it when the page has noticed."""
-    network.cut()
-    page.wait_for_text('#connection', 'no connection')
-    network.restore()
-    page.wait_for_text('#connection', 'live')
-    page.errors()      # the console reports the lost connection, as it should
+    def disabled_meanwhile():
+        robot.bus.forget()
+        robot.bus.script.append(b'')        # no answer until the timeout
+        press(control_page, down, lambda page: robot.lift_requests and page.all(down + ':enabled')
+              and page.attribute(answer, 'data-outcome') == 'not known', 'the outcome is not known')
+        assert 'not known' in control_page.text(answer + ' .outcome')
+        assert 'look before you repeat it' in control_page.text(answer)
+        assert len(robot.lift_requests) == 1
+        return control_page.script('return window.wereDisabled')
+    again_if_stalled(disabled_meanwhile)
 
 
 def test_the_outcome_is_not_known_if_the_connection_is_lost(control_page, robot, network):
     robot.bus.script.append(b'')
     press(control_page, '[data-service="~lift"] button', lambda _page: robot.lift_requests,
           'the board has received it')
-    drop_connection(control_page, network)
+    with network.cut():
+        control_page.wait_for_text('#connection', 'no connection')
+    control_page.wait_for_text('#connection', 'live')
+    control_page.errors()      # the console reports the lost connection, as it should
     control_page.wait(lambda page: any(
         'the connection was lost before the answer was received' in each
         for each in page.texts('.answers li')), 'the page shows it')
@@ -636,41 +683,6 @@ def test_a_page_that_only_looks_says_so_and_how_to_get_commands(page):
     assert not any(each.is_displayed() for each in page.all('#stop, #pad, [data-service]'))
 
 
-def test_stop_on_the_page_of_a_second_panel_stops_the_car(control_page, robot):
-    """Each panel has a browser of its own; what is counted is what the board receives."""
-    browser = Browser()
-    try:
-        with Panel('--control', '--token', TOKEN, name='panel_second') as second:
-            browser.open(second.url)
-            browser.wait_for_text('#connection', 'live')
-            wait_until_settled(browser)
-
-            def stopped_by_the_second():
-                hold(control_page, robot)
-                browser.click('#stop')
-                wait_until_stopped(robot, control_page)         # and its pad is still pressed
-                return '/panel_second commands the car' in control_page.text('#pad-words')
-            again_if_stalled(stopped_by_the_second)
-            control_page.release()
-
-            # While the first drives, the second does not.
-            def refused_beside_the_first():
-                hold(control_page, robot)
-                robot.car.forget()
-                browser.release()
-                browser.press_at('#pad', 0, 60)
-                browser.wait_for_updates(15)
-                return '/panel_control commands the car' in browser.text('#pad-words') \
-                    and control_page.attribute('#pad', 'data-held') is not None
-            again_if_stalled(refused_beside_the_first)
-            assert min(robot.car.speeds, default=0) >= 0
-            browser.release()
-            control_page.release()
-            wait_until_stopped(robot, control_page)
-    finally:
-        browser.quit()
-
-
 def test_calibration_needs_a_confirmation(control_page, robot):
     packet = arduino.encode(arduino.ImuCalibration())
     control_page.click('[data-service="~calibrate_imu"] button')
@@ -680,11 +692,11 @@ def test_calibration_needs_a_confirmation(control_page, robot):
     wait_for_answer(control_page, 'STOP sent')       # beside the dialog
     control_page.click('dialog button:last-of-type')
     assert packet not in robot.car.raw_commands
-    control_page.click('[data-service="~calibrate_imu"] button')
     robot.sends = False          # as a board that calibrates
     try:
-        control_page.click('dialog button')
-        until(lambda: packet in robot.car.raw_commands, 'the board has received it')
+        press(control_page, '[data-service="~calibrate_imu"] button',
+              lambda _page: packet in robot.car.raw_commands, 'the board has received it',
+              lambda button: (control_page.click(button), control_page.click('dialog button')))
         control_page.wait(lambda page: 'calibrating for' in page.text(
             '[data-service="~calibrate_imu"] .words'), 'the elapsed time is shown')
     finally:
@@ -693,119 +705,21 @@ def test_calibration_needs_a_confirmation(control_page, robot):
                       'the calibration is over')
 
 
-def test_a_button_of_the_led_sends_its_text(control_page, robot):
+def test_text_for_the_led_is_sent_and_the_reply_of_a_function_shown_field_by_field(control_page,
+                                                                                   robot):
     brake = '[data-service="~led"] button:nth-of-type(3)'
-    control_page.wait(lambda page: page.all(brake + ':enabled'),
-                      'the status has no calibration any more')
 
-    def press():
+    def show_brake():       # again: a bridge that has stalled drops it, and nothing is answered
         if control_page.all(brake + ':enabled'):
             control_page.click(brake)
-    wait_for_answer(control_page, 'LED brake sent', doing=press, every=0.7)
-    assert arduino.LedCommand('brake') in robot.car.commands()
-
-
-def test_the_reply_of_a_custom_function_is_shown_field_by_field(control_page, robot):
+    until(lambda: arduino.LedCommand('brake') in robot.car.commands(), 'the board has received it',
+          doing=show_brake, every=0.7)
+    wait_for_answer(control_page, 'LED brake sent')
     robot.bus.script.append(bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841')))
     press(control_page, '[data-service="~weigh"] button',
           lambda page: page.attribute('.answers li', 'data-outcome') == 'done', 'it is done')
     assert control_page.texts('.answers li:first-child .reply div') == [
         'environment.smoke\n1234', 'environment.temperature\n23', 'environment.humidity\n0']
-
-
-def was_too_old(page):
-    """Whether the latest command was refused for its age, as may happen on a busy machine."""
-    return 'press again' in (page.text('.answers li') if page.all('.answers li') else '')
-
-
-def test_a_custom_function_is_offered_and_hostile_names_are_shown_as_text(chromium, bridge):
-    asked = []
-
-    def press_again():
-        button = chromium.all(form + 'button')[0]
-        if was_too_old(chromium) and button.is_enabled():
-            button.click()
-
-    def pump(request):
-        asked.append(request.data)
-        return SetBoolResponse(request.data, 'the pump runs' if request.data
-                               else Outcome(NOT_SENT, 'it is empty').text)
-    # A row's name that the bridge itself would refuse.
-    bridge.set('~bus/functions', {'pump': {'cmd2': 48, 'srv_type': 'std_srvs/SetBool'},
-                                  HOSTILE: {'cmd2': 49, 'srv_type': 'std_srvs/Trigger'}})
-    bridge.report(DiagnosticStatus(name='odd: bus link', message=HOSTILE, values=[
-        KeyValue('port', HOSTILE), KeyValue(HOSTILE, HOSTILE), KeyValue(f'{HOSTILE} errors', '3')]))
-    bridge.service('~pump', SetBool, pump)
-    bridge.open('panel_functions', '--control')
-    form = '[data-service="~pump"] '
-    chromium.wait(lambda page: page.all(form + 'button'), 'the function is offered')
-    for outcome in ('refused', 'done'):
-        chromium.wait(lambda page: page.all(form + 'button')[0].is_enabled(), 'it is enabled')
-        chromium.click(form + 'button')
-        chromium.wait(lambda page: page.attribute('.answers li', 'data-outcome') == outcome
-                      and not was_too_old(page), outcome, doing=press_again)
-        chromium.click(form + 'input')
-    assert asked == [False, True]
-    answers = chromium.text('.answers')
-    assert 'the pump runs' in answers and 'it is empty' in answers
-    for place in '.summary', '.port', 'legend':
-        assert any(HOSTILE in each for each in chromium.script(
-            'return [...document.querySelectorAll(arguments[0])].map(e => e.textContent)',
-            place)), place
-    assert 'pwned' not in chromium.title
-    assert chromium.all('main img') == chromium.all('main script') == []
-
-
-_GAUGE = """
-from serial_communication.boards.description import Description, Field, Service, Topic
-
-DESCRIPTION = Description(
-    'gauge', __name__, lambda sent, parameters: None, 'rain gauge',
-    topics=(Topic('~rain', 'std_msgs/Float32', card='Weather'),
-            Topic('~sun', 'sensor_msgs/Range', card='Weather'),
-            Topic('~wind', 'geometry_msgs/Vector3')),
-    services=(Service('~tilt', 'serial_communication/Lift', 'tilt the funnel', (
-                  Field('distance', 'constructor', maximum=30, preset=3),
-                  Field('direction', choices=(('\u25b2 out', 0), ('\u25bc in', 1))))),
-              Service('~empty', 'std_srvs/Trigger', 'empty', confirm='Its water runs out.'),
-              Service('~unknown', 'nowhere/Type', 'unknown')))
-"""
-
-
-def test_services_and_cards_of_a_fourth_board_are_those_of_its_description(chromium, bridge):
-    asked = []
-    bridge.package('wet_gauge', _GAUGE)
-    bridge.set('~boards', ['wet_gauge'])
-    bridge.topic('~rain', Float32, Float32(4.5))
-    bridge.topic('~sun', Range, Range(min_range=0, max_range=2, range=0.5))
-    bridge.topic('~wind', Vector3, Vector3(1, 2, 3))
-    bridge.report(DiagnosticStatus(name='odd: gauge link', message='ready',
-                                   values=[KeyValue('port', 'none')]))
-    bridge.service('~tilt', Lift, lambda request: LiftResponse(
-        success=not asked.append((request.direction, request.distance))))
-    bridge.service('~empty', Trigger, lambda _request: TriggerResponse(
-        not asked.append('empty'), 'it is empty'))
-    bridge.open('panel_gauge_forms', '--control')
-    chromium.focus()
-    tilt = '[data-service="~tilt"] '
-    chromium.wait(lambda page: page.all(tilt + 'button:enabled'), 'its service is offered')
-    assert chromium.text(tilt + 'legend') == 'tilt the funnel'
-    assert chromium.texts(tilt + 'button') == ['\u25b2 out', '\u25bc in']
-    assert chromium.text(tilt + 'label') == 'constructor'        # a unit may have any name
-    assert chromium.attribute(tilt + 'input', 'max') == '30'
-    assert not chromium.all('[data-service="~unknown"]')
-    chromium.click(tilt + 'button:last-of-type')
-    wait_for_answer(chromium, 'tilt the funnel in 3 constructor done')
-    chromium.click('[data-service="~empty"] button')
-    assert chromium.text('[data-service="~empty"] dialog p') == 'Its water runs out.'
-    chromium.click('[data-service="~empty"] dialog button')
-    chromium.wait(lambda page: 'it is empty' in page.text('.answers li'), 'it is called, too')
-    assert asked == [(1, 3), 'empty']
-    # Topics of one card, a value with limits as a bar; and one with a card of its own.
-    weather = '[data-custom="Weather"] '
-    chromium.wait_for_text(weather + '[data-reading="~rain:data"] .number', '4.5')
-    chromium.wait_for_text(weather + '[data-range="~sun:range"] .number', '0.500 m')
-    chromium.wait_for_text('[data-custom="~wind"] [data-reading="~wind:y"] .number', '2')
 
 
 def test_what_was_entered_stays_when_another_form_appears(control_page, robot):
@@ -831,16 +745,20 @@ def hold(page, robot):
 
     If the machine stalls for too long, the hold has to end, and another one begins.
     """
+    pressed_at = -math.inf
+
     def press():
-        if page.attribute('#pad', 'data-held') is None:
+        nonlocal pressed_at     # a double click would not drive
+        if page.attribute('#pad', 'data-held') is None and time.monotonic() - pressed_at > 0.6:
             page.release()
             page.press_at('#pad', 0, -60)
+            pressed_at = time.monotonic()
 
     def drives():
         # The page shows the hold a frame later; a test can only see it end if it was shown.
         return any(speed > 0 for speed in robot.car.speeds) \
             and page.attribute('#pad', 'data-held') is not None
-    until(drives, 'the car drives', doing=press, every=0.6)     # a double click would not drive
+    until(drives, 'the car drives', doing=press)
 
 
 def wait_until_stopped(robot, page):
@@ -866,38 +784,58 @@ def scripted(text):
     return begun
 
 
-# Each is a context in which the pad is pressed.
+@contextlib.contextmanager
+def foreign_speed(page):
+    """Another program sends a speed, 0 as well as another."""
+    topic = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1)
+    until(lambda: topic.impl.has_connection('/panel_control'), 'the panel hears it',
+          doing=lambda: topic.publish(value=0))
+    yield
+    topic.unregister()
+
+
+def cut(network):
+    """A context in which the connection is lost."""
+    @contextlib.contextmanager
+    def begun(page):
+        with network.cut():
+            yield
+            page.wait_for_text('#connection', 'no connection')
+        page.wait_for_text('#connection', 'live')
+    return begun
+
+
+# Each is a context that ends the hold of the pad, and the reason that the page may show.
 ENDS = {
-    'the pad is released': released,
-    'another control gets the focus': scripted("document.getElementById('speed-limit').focus()"),
-    'the window loses the focus': scripted("window.dispatchEvent(new Event('blur'))"),
-    'the tab is hidden': Browser.other_tab, 'the page hangs': scripted(
-        'const end = performance.now() + 1500; while (performance.now() < end);'),
-    'the browser is frozen': Browser.frozen}
+    'the pad is released': (released, 'released'),
+    'another control gets the focus': (
+        scripted("document.getElementById('speed-limit').focus()"), 'the pad has lost the focus'),
+    'the window loses the focus': (
+        scripted("window.dispatchEvent(new Event('blur'))"), 'the window has lost the focus'),
+    'the tab is hidden': (Browser.other_tab, ''),
+    'the page hangs': (
+        scripted('const end = performance.now() + 1500; while (performance.now() < end);'), ''),
+    'the browser is frozen': (Browser.frozen, ''),
+    'another program sends a speed': (foreign_speed, '/panel_test commands the car')}
 
 
-def test_whatever_ends_a_hold_stops_the_car(control_page, robot):
-    for what, end in ENDS.items():
-        robot.car.forget()
-        hold(control_page, robot)
-        with end(control_page):
-            until(lambda: robot.car.speeds[-1] == 0, f'{what}: the car stops')
-        wait_until_stopped(robot, control_page)
-        control_page.release()
-    control_page.errors()       # it was frozen
-
-
-def test_a_lost_connection_stops(control_page, robot, network):
-    hold(control_page, robot)
-    drop_connection(control_page, network)
-    wait_until_stopped(robot, control_page)
-    control_page.release()
+def test_whatever_ends_a_hold_stops_the_car(control_page, robot, network):
+    for what, (end, words) in {**ENDS, 'the connection is lost': (cut(network), '')}.items():
+        def ended():
+            robot.car.forget()
+            hold(control_page, robot)
+            with end(control_page):
+                until(lambda: robot.car.speeds[-1] == 0, f'{what}: the car stops')
+            wait_until_stopped(robot, control_page)
+            control_page.release()
+            return words in control_page.text('#pad-words')     # or it ended before, by a stall
+        again_if_stalled(ended)
+    control_page.errors()       # it was frozen, and without a connection
 
 
 def test_commands_delayed_by_the_network_do_not_drive(control_page, robot, network):
     hold(control_page, robot)
-    network.delay()
-    try:
+    with network.delayed():
         until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
         control_page.wait(lambda page: page.attribute('#pad', 'data-held') is None, 'the hold ends')
         control_page.release()
@@ -905,36 +843,27 @@ def test_commands_delayed_by_the_network_do_not_drive(control_page, robot, netwo
         control_page.press_at('#pad', 0, -60)
         control_page.release()
         robot.car.forget()
-    finally:
-        network.deliver()
     control_page.wait_for_text('#connection', 'live')
     control_page.wait_for_updates(15)
     assert not any(robot.car.speeds)
 
 
 def test_a_panel_that_sends_no_updates_stops(control_page, robot, control_panel):
+    """Nor does the page show a false reason when the panel continues."""
+    troubles = watch_texts(control_page, '#trouble')
     hold(control_page, robot)
     with suspended(control_panel.process.pid):
         control_page.wait(lambda page: page.attribute('#pad', 'data-held') is None, 'the hold ends')
         assert control_page.text('#pad-words').startswith('stopped: ')
         until(lambda: robot.car.speeds[-1] == 0, 'the bridge stops the car')
-    control_page.wait_for_text('#connection', 'live')
-    wait_until_stopped(robot, control_page)
-    control_page.release()
-    control_page.errors()    # it may have tried to reconnect
-
-
-def test_a_panel_that_was_stopped_for_long_gives_no_false_reason(control_page, control_panel):
-    control_page.script("""window.troubles = new Set();
-        new MutationObserver(() => troubles.add(document.getElementById('trouble').textContent))
-            .observe(document.getElementById('trouble'), {childList: true});""")
-    with suspended(control_panel.process.pid):
         control_page.wait(lambda page: re.search(
             r'for ([6-9]\.|\d\d )', page.text('#trouble')), 'it gave up and retries')
     control_page.wait_for_text('#connection', 'live')
-    troubles = ' '.join(control_page.script('return [...troubles]'))
-    assert 'no connection to the panel' in troubles
-    assert 'pages are open' not in troubles and 'token' not in troubles
+    wait_until_stopped(robot, control_page)
+    control_page.release()
+    shown = ' '.join(troubles())
+    assert 'no connection to the panel' in shown
+    assert 'pages are open' not in shown and 'token' not in shown
     control_page.errors()    # the connections that it tried
 
 
@@ -957,121 +886,67 @@ def test_arrow_keys_drive(control_page, robot):
     wait_until_stopped(robot, control_page)
 
 
-SHIFT, META = 8, 4       # as Input.dispatchKeyEvent has them
+AHEAD, HELD = 'key down ArrowUp', 'key repeat ArrowUp'
+DRIVING, RIGHT_AHEAD = 'speed 200, steering 1500', 'speed 200, steering 1900'
+RELEASED, OTHER_KEY = 'stopped: released', 'stopped: another key was pressed'
+NO_REPEATS = 'stopped: the key no longer repeats; press it again'
 
 
-def press_ahead(page, **more):
-    """Press the key for ahead, and hold it."""
-    page.key_event('keyDown', 'ArrowUp', 'ArrowUp', **more)
+def check_pads(page, expected):
+    """Check the words that a pad shows after some steps, and whether it drives."""
+    found = page.driver.execute_async_script(read_script('pads'), list(expected))
+    assert dict(zip(expected, found)) == {
+        steps: [words, words.startswith('speed'), words.startswith('speed')]
+        for steps, words in expected.items()}
 
 
-def hold_ahead(page, robot):
-    """Drive by the key for ahead, as `hold` does by the pad."""
-    def press():
-        if page.attribute('#pad', 'data-held') is None:
-            page.key_event('keyUp', 'ArrowUp', 'ArrowUp')
-            press_ahead(page)
-    page.script("document.getElementById('pad').focus()")
-    until(lambda: 200 in robot.car.speeds and page.attribute('#pad', 'data-held') is not None,
-          'the car drives', doing=press, every=0.3)
+def test_which_keys_drive_and_what_else_stops(page):
+    """Whether keys and pad reach the car: test_arrow_keys_drive and those before it."""
+    check_pads(page, {
+        AHEAD: DRIVING, f'{AHEAD}, key down ArrowRight': RIGHT_AHEAD,
+        f'{AHEAD}, key down ArrowRight, key up ArrowRight': DRIVING,
+        f'{AHEAD}, key up ArrowUp': RELEASED,
+        # Keys of the keypad: with NumLock and Shift, one can be pressed as an arrow and released as
+        # the digit 8. With a modifier: macOS does not report the release while Cmd is held.
+        'key down shift+Numpad8, key up ShiftLeft, key up Numpad8': 'hold to drive',
+        'key down meta+ArrowUp': 'hold to drive', 'key down shift+ArrowUp': 'hold to drive',
+        # Any other key stops, and one that is still held and repeats does not drive again.
+        f'{AHEAD}, key down meta+MetaLeft, {HELD}': OTHER_KEY,
+        f'{AHEAD}, key down KeyX, {HELD}': OTHER_KEY,
+        f'{AHEAD}, key up Numpad8, {HELD}': RELEASED,
+        # Pad and keys do not drive together.
+        f'pointer down, {AHEAD}': 'stopped: a key was pressed while the pad was held',
+        f'{AHEAD}, pointer down': 'stopped: pressed while a key was held',
+        # A key that no longer repeats counts as released; also one that never begins to, on a
+        # system that is known to repeat keys.
+        f'{AHEAD}, {HELD}, wait 450': DRIVING, f'{AHEAD}, {HELD}, wait 1050': NO_REPEATS,
+        f'{AHEAD}, {HELD}, key up ArrowUp, {AHEAD}, wait 2450': DRIVING,
+        f'{AHEAD}, {HELD}, key up ArrowUp, {AHEAD}, wait 3050': NO_REPEATS,
+        # Systems that repeat no keys, or only the one pressed last, and none after its release.
+        f'{AHEAD}, wait 20000': DRIVING,
+        f'{AHEAD}, {HELD}, key down ArrowRight, key repeat ArrowRight, key up ArrowRight, '
+        'wait 20000': DRIVING})
 
 
-def test_keys_that_do_not_drive(control_page, robot):
-    """The keypad: with NumLock and Shift, a key can be pressed as an arrow and released as the
-    digit 8. A key with a modifier: macOS does not report its release while Cmd is held."""
-    control_page.script("document.getElementById('pad').focus()")
-    keypad = {'location': 3, 'isKeypad': True}
-    control_page.key_event('keyDown', 'Shift', 'ShiftLeft', modifiers=SHIFT, location=1)
-    control_page.key_event('keyDown', 'ArrowUp', 'Numpad8', modifiers=SHIFT, **keypad)
-    control_page.key_event('keyUp', 'Shift', 'ShiftLeft', location=1)
-    control_page.key_event('keyUp', '8', 'Numpad8', **keypad)
-    control_page.wait_for_updates(15)
-    for modifier in META, SHIFT:
-        press_ahead(control_page, modifiers=modifier)
-        control_page.wait_for_updates(15)
-        assert control_page.attribute('#pad', 'data-held') is None
-        control_page.key_event('keyUp', 'ArrowUp', 'ArrowUp')
-    assert not any(robot.car.speeds)
-
-
-def test_pressing_or_releasing_any_other_key_stops(control_page, robot):
-    for what, key, code, more in (
-            ('keyDown', 'Meta', 'MetaLeft', {'modifiers': META}), ('keyDown', 'x', 'KeyX', {}),
-            ('keyUp', '8', 'Numpad8', {}), ('keyUp', 'ArrowUp', 'Numpad8', {})):
-        robot.car.forget()
-        hold_ahead(control_page, robot)
-        control_page.key_event(what, key, code, **more)
-        wait_until_stopped(robot, control_page)
-        press_ahead(control_page, autoRepeat=True)       # it is still held and repeats
-        wait_until_stopped(robot, control_page)
-        control_page.key_event('keyUp', 'ArrowUp', 'ArrowUp')
-
-
-def test_pad_and_keys_do_not_drive_together(control_page, robot):
-    hold(control_page, robot)
-    press_ahead(control_page)
-    wait_until_stopped(robot, control_page)
-    control_page.key_up(UP)
-    control_page.release()
-    hold_ahead(control_page, robot)
-    control_page.press_at('#pad', 0, 60)
-    wait_until_stopped(robot, control_page)
-    assert min(robot.car.speeds) == 0
-    control_page.release()
-    control_page.key_up(UP)
-
-
-def test_a_key_that_no_longer_repeats_counts_as_released(control_page, robot):
-    hold_ahead(control_page, robot)
-    press_ahead(control_page, autoRepeat=True)
-    wait_until_stopped(robot, control_page)
-    control_page.key_event('keyUp', 'ArrowUp', 'ArrowUp')
-    # This system is now known to repeat keys: one that never begins to counts as released, too.
-    hold_ahead(control_page, robot)
-    wait_until_stopped(robot, control_page)
-    control_page.key_event('keyUp', 'ArrowUp', 'ArrowUp')
-
-
-def keeps_driving(page, robot, hold_keys, seconds=4.0):
-    """Check that the car drives for this time without another event of the keyboard."""
-    def held():
-        return page.attribute('#pad', 'data-held') is not None
-
-    def drives():
-        hold_keys()
-        began = time.monotonic()
-        until(lambda: not held() or time.monotonic() - began > seconds, 'the time has passed')
-        assert held() or 'repeats' not in page.text('#pad-words')
-        return held()
-    again_if_stalled(drives, tries=10)
-    count = len(robot.car.speeds)
-    until(lambda: len(robot.car.speeds) > count, 'another speed is received')
-    assert robot.car.speeds[-1] == 200
-    page.key_up(UP)
-    wait_until_stopped(robot, page)
-
-
-def test_a_held_key_drives_on_a_system_that_repeats_no_keys_or_only_another_one(control_page,
-                                                                                robot):
-    """Systems repeat only the key that was pressed last, and none after its release."""
-    def ahead_and_once_right():
-        hold_ahead(control_page, robot)
-        press_ahead(control_page, autoRepeat=True)
-        control_page.key_down(RIGHT)
-        control_page.key_event('keyDown', 'ArrowRight', 'ArrowRight', autoRepeat=True)
-        control_page.key_up(RIGHT)
-    keeps_driving(control_page, robot, lambda: hold_ahead(control_page, robot))
-    robot.car.forget()
-    keeps_driving(control_page, robot, ahead_and_once_right)
+def test_the_pad_takes_no_second_press_of_a_double_click(page):
+    check_pads(page, {
+        'pointer down, pointer up, wait 450, pointer down':
+            'not driven: a double click; press once, and hold',
+        'pointer down, pointer up, wait 500, pointer down': DRIVING})
 
 
 # -- outages ----------------------------------------------------------------------------------
 
 
-def test_commands_of_a_closed_link_are_disabled_with_the_reason(control_page, robot):
-    page = control_page
+def test_of_an_unplugged_line_old_values_are_shown_and_no_commands_taken(control_page, robot):
+    page, card, reading = control_page, '[data-link="arduino"]', '[data-reading="~voltage:voltage"]'
     robot.lines['arduino'].unplug()
     try:
+        wait_for_attribute(page, card, 'data-health', 'error')
+        assert page.text(card + ' .summary').startswith('closed: ')
+        wait_for_attribute(page, reading, 'data-state', 'stale')
+        assert page.text(reading + ' .age').endswith(' old')
+        wait_for_attribute(page, '[data-range="mcu/range_1:range"]', 'data-state', 'fresh')
         page.wait(lambda page: page.script("""
             const all = (selector) => [...document.querySelectorAll(selector)];
             const services = ['~led', '~gripper', '~calibrate_imu'].map(
@@ -1091,18 +966,9 @@ def test_commands_of_a_closed_link_are_disabled_with_the_reason(control_page, ro
         robot.lines['arduino'].plug()
     page.wait(lambda page: page.text('[data-service="~led"] .reason') == ''
               and page.attribute('#pad', 'aria-disabled') is None, 'they are enabled again')
-
-
-def test_the_page_shows_that_a_line_is_unplugged_and_plugged_in(page, robot):
-    robot.lines['mcu'].unplug()
-    card = '[data-link="mcu"]'
-    wait_for_attribute(page, card, 'data-health', 'error')
-    assert page.text(card + ' .summary').startswith('closed: ')
-    range_1 = '[data-range="mcu/range_1:range"]'
-    wait_for_attribute(page, range_1, 'data-state', 'stale')
-    robot.lines['mcu'].plug()
     wait_for_attribute(page, card, 'data-health', 'ok')
-    wait_for_attribute(page, range_1, 'data-state', 'fresh')
+    wait_for_attribute(page, reading, 'data-state', 'fresh')
+    assert page.text(reading + ' .age') == ''
 
 
 def test_the_page_shows_a_restart_of_the_bridge(page, robot):
@@ -1118,9 +984,7 @@ def test_the_page_shows_a_restart_of_the_bridge(page, robot):
 
 def test_the_page_shows_a_restart_of_the_master(control_page, robot, core):
     page = control_page
-    page.script("""window.alarms = [];
-        new MutationObserver(() => alarms.push(document.getElementById('alarm').textContent))
-            .observe(document.getElementById('alarm'), {childList: true});""")
+    alarms = watch_texts(page, '#alarm')
     core.stop()
     page.wait(lambda page: 'no answer from the ROS master' in page.text('#trouble'),
               'the page shows it')
@@ -1131,8 +995,8 @@ def test_the_page_shows_a_restart_of_the_master(control_page, robot, core):
     shown = page.text('#trouble')
     page.wait(lambda page: page.text('#trouble') not in ('', shown), 'its age counts up')
     # A screen reader hears of it once, without the age that changes ten times a second.
-    alarms = page.script('return alarms')
-    assert len(alarms) == 1 and 'no answer from the ROS master' in alarms[0]
+    shown = [each for each in alarms() if each]
+    assert len(shown) == 1 and 'no answer from the ROS master' in shown[0]
     core.start()
     page.wait(lambda page: page.text('#trouble') == '', 'the trouble is over')
     page.wait_for_text('#connection', 'live')
@@ -1204,8 +1068,8 @@ def test_a_click_in_a_window_that_another_site_has_opened_moves_nothing(control_
             page.click('#stop')
             wait_for_answer(page, 'STOP sent')        # at once
             wait_until_settled(page)
-            page.click_now(up)
-            until(lambda: robot.lift_requests, 'a click moves the lift when a second has passed')
+            press(page, up, lambda _page: robot.lift_requests,
+                  'a click moves the lift when a second has passed', page.click_now)
             return True
     again_if_stalled(clicked_early, tries=10)
     site.shutdown()
@@ -1217,27 +1081,20 @@ _EARLY = ("return clicks[clicks.length - 1]"
           "- performance.getEntriesByType('navigation')[0].loadEventStart")
 
 
-def test_the_pad_takes_no_second_press_of_a_double_click(control_page, robot):
-    control_page.wait(lambda page: 'a double click' in page.text('#pad-words'), 'it says why',
-                      doing=lambda: control_page.click_now('#pad', 2), every=0.7)
-    control_page.wait_for_updates(15)
-    assert control_page.attribute('#pad', 'data-held') is None
-
-
 def test_after_the_focus_returns_no_command_is_taken_for_a_second(control_page, robot):
-    clicked = control_page.script('''
-        window.dispatchEvent(new Event('focus'));
-        const button = document.querySelector('[data-service="~lift"] button');
-        const wasEnabled = !button.disabled;
-        button.click();
-        return wasEnabled;''')
-    assert clicked
-    control_page.wait(lambda page: any('nothing was sent: the page has just appeared' in each
-                                       for each in page.texts('.answers li')), 'it says so')
-    control_page.wait(lambda page: page.text('[data-service="~lift"] .reason')
-                      == 'the page has just appeared', 'with the reason beside the controls')
-    wait_until_settled(control_page)
-    assert not robot.lift_requests
+    def not_taken():
+        reasons = watch_texts(control_page, '[data-service="~lift"] .reason')
+        clicked = control_page.script("""
+            window.dispatchEvent(new Event('focus'));
+            const button = document.querySelector('[data-service="~lift"] button');
+            const wasEnabled = !button.disabled;
+            button.click();
+            return wasEnabled;""")
+        wait_until_settled(control_page)
+        assert not robot.lift_requests
+        return clicked and 'the page has just appeared' in reasons() \
+            and 'nothing was sent: the page has just appeared' in control_page.text('.answers li')
+    again_if_stalled(not_taken)
 
 
 def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
@@ -1260,30 +1117,6 @@ def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
     chromium.errors()
 
 
-def test_a_second_browser_with_a_used_address_is_told_one_thing(chromium):
-    panel = Panel('--control', name='panel_used')
-    try:
-        assert panel.exchange(panel.token)[0] == 200        # by the first browser
-        chromium.open('about:blank')
-        chromium.open(panel.url)
-        chromium.wait(lambda page: page.text('#trouble').startswith('the '), 'it shows the reason')
-        chromium.script("""window.shown = new Set([document.getElementById('trouble').textContent]);
-            new MutationObserver(() => shown.add(document.getElementById('trouble').textContent))
-                .observe(document.getElementById('trouble'), {childList: true});""")
-        before = panel.output().count('refused')
-        chromium.wait(lambda _page: chromium.script('return window.tries ?? 0') > 2,
-                      'it tries again', doing=lambda: chromium.script(
-            "window.tries = performance.getEntriesByType('resource')"
-            ".filter((each) => each.name.endsWith('/key')).length"))
-        assert before and chromium.script('return [...shown]') == [
-            'the token is wrong, or has been used already; '
-            'open the address that the panel printed last']
-    finally:
-        chromium.open('about:blank')
-        chromium.errors()
-        panel.end()
-
-
 def test_the_page_needs_the_token_once(chromium, control_panel, panel):
     chromium.open(control_panel.url)
     chromium.script('localStorage.clear()')
@@ -1291,6 +1124,17 @@ def test_the_page_needs_the_token_once(chromium, control_panel, panel):
     chromium.open(control_panel.url.split('#')[0])
     chromium.wait(lambda page: 'open the address that the panel printed last' in page.text(
         '#trouble'), 'the page shows it')
+    # One that has been used, or is wrong, is told so; the reason stays while the page tries again.
+    reasons = watch_texts(chromium, '#trouble')
+    chromium.script("location.hash = 'not-the-right-one'")
+    chromium.wait(lambda _page: 'the token is wrong' in reasons()[-1], 'the page shows it')
+    seen = len(reasons())
+    tries = ("return performance.getEntriesByType('resource')"
+             ".filter((each) => each.name.endsWith('/key')).length")
+    before = chromium.script(tries)
+    chromium.wait(lambda page: page.script(tries) > before + 2, 'it tries again')
+    assert reasons()[seen - 1:] == ['the token is wrong, or has been used already; '
+                                    'open the address that the panel printed last']
     chromium.errors()
     chromium.open(control_panel.url)        # in the same tab: only the part after # changes
     chromium.wait_for_text('#connection', 'live')

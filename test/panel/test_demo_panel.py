@@ -43,15 +43,10 @@ def test_the_demo_prints_the_address_of_a_page_that_has_commands():
                             or demo.poll() is not None, 'it is printed', 60)
             panel = PrintedPanel(address)
             page = Page(panel, panel.token).settle()
-            page.until(lambda page: '~lift' in page.known.get('controls', {}).get('services', ()),
-                       'the page has commands')
             page.until(lambda page: any(
                 update.get('links', {}).get('bus', {}).get('level') == 0
                 for update in list(page.updates)), 'the bus is ready')
-            page.send(call={'key': 'up', 'name': '~lift',
-                            'arguments': {'direction': 0, 'distance': 5}})
-            page.until(lambda page: page.calls.get('up', {}).get('outcome'), 'the answer')
-            assert page.calls['up']['outcome'] == 'done'
+            assert page.call('~lift', direction=0, distance=5)['outcome'] == 'done'
             page.close()
             # Nothing else moves the robot, and nobody else can read the token.
             until(lambda: shown('none; the page has them'), 'the table is shown')

@@ -1,18 +1,19 @@
 #!/usr/bin/python3
 """The arduino link: measurements with their exact values, commands with their exact bytes, the
 heartbeat, the speed timeout, the calibration and the board's log lines."""
-import subprocess
 import unittest
 
 import rospy
 import rostest
+from roscpp.srv import SetLoggerLevel
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Imu, Temperature
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Empty
 
-from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Rosout, Topic,
-                    command_topic, level_imu, service, stamped, until, values_of)
+from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Diagnostics, Rosout,
+                    Topic, command_topic, level_imu, service, stamped, until, values_of)
+from serial_communication.framing.announcement import chunks_of
 from serial_communication.link.outcome import Verdict
 from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
                                       Ticks, Voltage)
@@ -179,8 +180,7 @@ class Logs(ArduinoTest):
         ROSOUT.wait_for(self.node, 'the line after it', Log.INFO)
         self.assertEqual(ROSOUT.lines(self.node, 'a line that nobody asked for'), [])
         for level in 'DEBUG', 'INFO':
-            subprocess.run(['rosservice', 'call', '/serial_communication/set_logger_level',
-                            'rosout', level], check=True, stdout=subprocess.DEVNULL)
+            service('/serial_communication/set_logger_level', SetLoggerLevel)('rosout', level)
             if level == 'DEBUG':
                 self.board.say(arduino.Log(0, 'a line that was asked for'))
                 ROSOUT.wait_for(self.node, 'a line that was asked for', Log.DEBUG)
@@ -208,6 +208,18 @@ class Tuned(ArduinoTest):
         warm = temperature.first(doing=lambda: self.board.write(IMU_PACKET))
         self.assertAlmostEqual(warm.temperature, 32.735882352941175)
         self.assertEqual(warm.header.frame_id, 'car_imu')
+
+    def test_an_announcement_is_ignored(self):
+        diagnostics = Diagnostics(self.node)
+        self.addCleanup(diagnostics.close)
+        row = b'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data]}'
+        for chunk in chunks_of(row, 20):
+            self.board.say(chunk)
+        self.board.say(arduino.Log(1, 'the line after it'))
+        ROSOUT.wait_for(self.node, 'the line after it')
+        diagnostics.fresh('arduino', lambda status: 'announced' not in status.keys
+                          and status.keys['unknown type errors'] == '0', 'no announcement')
+        self.assertNotIn('/tuned/force', [name for name, _ in rospy.get_published_topics()])
 
     def test_the_heartbeat_has_the_configured_rate(self):
         self.board.wait_for_heartbeat_rate(10, 50, number=40)

@@ -1,11 +1,13 @@
 """Helpers for tests with emulated AVR boards: an emulated board with a bridge."""
 import os
 import sys
+import time
 import unittest
 from contextlib import contextmanager
 
 from boards import PACKAGE, Bridge, until
 
+ANNOUNCED = 30.0     # emulated s in which every chunk has been sent several times
 _TEST = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 sys.path.insert(0, os.path.join(_TEST, 'firmware'))
 
@@ -53,11 +55,6 @@ class OnBoard(unittest.TestCase):
     def tearDown(self):
         self.assertEqual(self.board.get('rx_overruns'), 0, 'the bridge sends too fast')
 
-    def kill_bridge(self):
-        """Kill the bridge with SIGKILL, so that it sends nothing more."""
-        self.bridge.process.kill()
-        self.bridge.process.wait(10)
-
     def own(self, name):
         """A private name of the bridge."""
         return '/%s/%s' % (PACKAGE, name)
@@ -84,6 +81,18 @@ class OnBoard(unittest.TestCase):
             yield
         except AssertionError as error:
             raise AssertionError('%s: %s' % (case, error)) from error
+
+
+def until_announced(board, topic):
+    """Wait until the bridge publishes a topic whose row an emulated board announces.
+
+    A board sends a chunk a second, in its own time, which passes slowly where the emulator gets
+    little processor time. So the limit is in emulated seconds.
+    """
+    end = board.time + ANNOUNCED
+    while not topic.publishers:
+        assert board.time < end, f'{topic.name} is not announced in {ANNOUNCED:g} emulated seconds'
+        time.sleep(0.05)
 
 
 def upward(orientation):

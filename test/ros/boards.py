@@ -25,16 +25,16 @@ sys.path.insert(0, os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(
 from fake_boards import (BusBoard, CarBoard, SensorBoard, level_imu, ranges)  # noqa: E402,F401
 from fake_bus import AIR  # noqa: E402,F401
 from lines import Line  # noqa: E402,F401
+from programs import free_master  # noqa: E402
 from waiting import PATIENCE, Waiter, again_if_stalled, until  # noqa: E402,F401
 from witness import Witness  # noqa: E402
 
 PACKAGE = 'serial_communication'
-OK, WARN, ERROR = 0, 1, 2        # levels of diagnostics
-RX, TX = 0, 1                    # directions of SerialMsg
+OK, ERROR = 0, 2         # levels of diagnostics
+RX = 0                   # a direction of SerialMsg
 NOT_SENT, TIMEOUT = 253, 254     # statuses of a bus service beside a reply's CMD1
 
 SYNC_FRAME = bytes.fromhex('a5000000a5')
-HEARTBEAT_PACKET = bytes.fromhex('020b00')
 SPEED_0_PACKET = bytes.fromhex('0204010100')
 CALIBRATION_PACKET = bytes.fromhex('020c00')
 
@@ -121,6 +121,31 @@ class Bridge:
         return seconds / witness.slowdown, status
 
 
+class Master:
+    """A ROS master of a test's own, which may end, and start again at its address."""
+
+    def __init__(self):
+        self.uri = free_master()
+        self.server = rosgraph.Master('/test', self.uri)
+        self._process = None
+
+    def start(self):
+        """Start it, and wait until it answers; return self."""
+        self._process = subprocess.Popen(
+            ['rosmaster', '--core', '-p', self.uri.rpartition(':')[2]],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        until(lambda: self.server.is_online() or self._process.poll() is not None,
+              'the master answers', every=0.1)
+        assert self._process.poll() is None, f'the master at {self.uri} has ended'
+        return self
+
+    def end(self):
+        """End it, if it runs."""
+        if self._process:
+            self._process.kill()
+            self._process.wait(10)
+
+
 class BoardsTest(unittest.TestCase):
     """A folder, lines with boards at their far ends, and bridges; all end with the test."""
 
@@ -143,6 +168,12 @@ class BoardsTest(unittest.TestCase):
         self.addCleanup(bridge.kill)
         return bridge
 
+    def start_master(self):
+        """Return a new `Master` that runs."""
+        master = Master()
+        self.addCleanup(master.end)
+        return master.start()
+
 
 # -- the ROS side -------------------------------------------------------------------------
 
@@ -157,7 +188,12 @@ class Topic:
         self._subscriber = rospy.Subscriber(name, message_class, self._take, queue_size=5000,
                                             tcp_nodelay=True)
         if wait:
-            until(self._subscriber.get_num_connections, '%s is published' % name)
+            until(lambda: self.publishers, '%s is published' % name)
+
+    @property
+    def publishers(self):
+        """How many publishers it is connected to."""
+        return self._subscriber.get_num_connections()
 
     def _take(self, message):
         self.arrivals.append(time.monotonic())
@@ -268,6 +304,15 @@ def service(name, service_class):
     """Wait for a service and return its proxy."""
     rospy.wait_for_service(name, PATIENCE)
     return rospy.ServiceProxy(name, service_class)
+
+
+def wait_for_launch(node=PACKAGE):
+    """Wait until a bridge of a roslaunch is up.
+
+    roslaunch, what it starts before, and the bridge start one after the other. So the patience with
+    one program is not enough on a busy machine.
+    """
+    rospy.wait_for_service('/%s/calibrate_imu' % node, 4 * PATIENCE)
 
 
 def command_topic(name, message_class):

@@ -1,22 +1,18 @@
 #!/usr/bin/python3
 """Custom messages and functions: every example of config/custom_messages.yaml and more, checked by
 values on both sides of real ttys, and every mistake that only ROS can reveal."""
-import contextlib
-import io
 import math
 import os
 import socket
 import struct
 import sys
 import tempfile
-import threading
 import unittest
 from functools import partial, reduce
 from unittest import mock
 
 import pytest
 import rosgraph
-import rosgraph.network
 import rospy
 import rostest
 import yaml
@@ -28,15 +24,15 @@ from std_msgs.msg import (Bool, Float32, Int16MultiArray, String, UInt8MultiArra
                           UInt16MultiArray)
 from std_srvs.srv import SetBool, Trigger
 
-from boards import (NOT_SENT, PACKAGE, PATIENCE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
-                    SensorBoard, Topic, Waiter, level_imu, until)
+from boards import (NOT_SENT, PACKAGE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
+                    SensorBoard, Topic, Waiter, level_imu, service, until)
 from serial_communication.link.outcome import Verdict
 from serial_communication.msg import SerialMsg
-from serial_communication.framing import cobs
+from serial_communication.framing import announcement, cobs
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.ros.answers import read_error, read_response
-from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
+from serial_communication.ros.parameters import ParameterError, check
 from serial_communication.ros.custom_topics import taken_names
 from serial_communication.srv import GetEnvironment, Lift
 
@@ -171,7 +167,7 @@ class FromTheCar(unittest.TestCase):
             (200, struct.pack(odd, 0, 0, b'', float('nan'), 0), 'implausible: odd: roi.x_off'))
         for type_, data, said in wrong:
             frames.first(lambda m, said=said: m.error.startswith(said), what=said,
-                         doing=lambda t=type_, d=data: CAR.write(packet(t, d)), seconds=5)
+                         doing=lambda t=type_, d=data: CAR.write(packet(t, d)))
         # The next valid message is the first on its topic.
         for topic, type_, data in ((topics[0], 32, struct.pack('<h', 7)),
                                    (topics[1], 200, struct.pack(odd, 0, 0, b'', 0.0, 0)),
@@ -197,18 +193,6 @@ class FromTheCar(unittest.TestCase):
             self.assertEqual((message.text, message.link, bytes(message.data)),
                              (text, 'arduino', data))
             frames.forget()
-
-    def test_nan_is_implausible_for_a_bool(self):
-        truth, frames = Topic(OWN + 'ready', Bool), Topic('/serial_msg', SerialMsg)
-        for topic in truth, frames:
-            self.addCleanup(topic.close)
-        for number in float('nan'), float('inf'):
-            frames.next(lambda m: m.error.startswith('implausible: ready: data is'),
-                        doing=lambda n=number: CAR.write(packet(206, struct.pack('<f', n))))
-        for number, value in ((0.0, False), (0.3, True)):
-            truth.first(lambda m, v=value: m.data is v,
-                        doing=lambda n=number: CAR.write(packet(206, struct.pack('<f', n))))
-        self.assertIs(truth.messages[0].data, False)    # nothing else was published before
 
     def test_a_message_without_a_value_is_left_out_where_the_field_cannot_be_nan(self):
         topic, frames = Topic(OWN + 'revolutions', UInt16), Topic('/serial_msg', SerialMsg)
@@ -247,7 +231,6 @@ class ToTheCar(unittest.TestCase):
 
     def test_commands_that_cannot_be_sent_are_refused_with_a_warning(self):
         say = self.command('say', String)
-        several = self.command('several', Int16MultiArray)
         offset = Int16MultiArray()
         offset.layout.data_offset = 256
         for topic, message, said in (
@@ -258,14 +241,12 @@ class ToTheCar(unittest.TestCase):
                  'clamp refused: x is nan'),
                 (self.command('enable', Float32), Float32(float('nan')),
                  'enable refused: data is nan, which its place (?) cannot hold'),
-                (several, offset, 'several refused: layout.data_offset is 256, which its place'),
-                (several, Int16MultiArray(data=[0] * 200),
-                 '401 bytes of data, a packet holds at most 255'),
+                (self.command('several', Int16MultiArray), offset,
+                 'several refused: layout.data_offset is 256, which its place'),
                 (say, String('a\0b'), "say refused: data is 'a\\x00b', which its place"),
                 (self.command('third', JointState), JointState(position=[1, 2]),
                  'third refused: position has no element 2')):
-            with self.subTest(said):
-                ROSOUT.wait_for(PACKAGE, said, doing=lambda t=topic, m=message: t.publish(m))
+            ROSOUT.wait_for(PACKAGE, said, doing=lambda t=topic, m=message: t.publish(m))
         # None of them was sent: the next command is the first of its type.
         self.sends(say, String('after'), packet(202, b'after'))
         sent = [frame for frame in CAR.unknown if frame[1:2] == b'\xca']
@@ -313,8 +294,7 @@ class Functions(unittest.TestCase):
         BOARD.answers.clear()
 
     def call(self, name, service_class, *arguments):
-        rospy.wait_for_service(OWN + name, 10)
-        return Waiter(rospy.ServiceProxy(OWN + name, service_class), *arguments)
+        return Waiter(service(OWN + name, service_class), *arguments)
 
     def asked(self, cmd2):
         return [frame.raw for frame in BOARD.all
@@ -392,31 +372,9 @@ class Functions(unittest.TestCase):
         self.assertIn(status + message, str(caught.exception))
         self.assertEqual(read_error(caught.exception), (verdict, message))
 
-    @contextlib.contextmanager
-    def answering_late(self, cmd2, reply):
-        """The board executes the next request, and answers it when the block ends."""
-        called = threading.Event()
-
-        def answer():
-            BOARD.answers[cmd2] = reply
-            called.wait(PATIENCE)
-            return reply
-        BOARD.answers[cmd2] = answer
-        try:
-            yield
-        finally:
-            called.set()
-
-    def test_the_outcome_of_a_late_reply_is_not_known(self):
-        with self.answering_late(0x34, bus.Reply(bus.OK, b'full')):
-            self.assert_error('level', Verdict.NOT_KNOWN, 'status 254 (not known): ',
-                              NO_REPLY % 0.3)
-        answer = self.call('level', GetLoggers).result()
-        self.assertEqual([logger.name for logger in answer.loggers], ['full'])
-
     def test_the_message_has_the_outcome_if_the_type_has_success_but_no_status(self):
-        with self.answering_late(0x30, bus.Reply(bus.OK)):
-            answer = self.call('pump', SetBool, True).result()
+        BOARD.answers[0x30] = None
+        answer = self.call('pump', SetBool, True).result()
         self.assertEqual((answer.success, answer.message),
                          (False, 'status 254 (not known): ' + NO_REPLY % 2))
         self.assertEqual(read_response(answer), (Verdict.NOT_KNOWN, NO_REPLY % 2))
@@ -438,8 +396,7 @@ class Functions(unittest.TestCase):
             self.assertEqual('look before you repeat it' in words, verdict is Verdict.NOT_KNOWN)
 
     def test_a_function_is_not_sent_to_a_closed_port(self):
-        rospy.wait_for_service('/closed/pump', 10)
-        answer = rospy.ServiceProxy('/closed/pump', SetBool)(True)
+        answer = service('/closed/pump', SetBool)(True)
         self.assertFalse(answer.success)
         self.assertIn('nothing was sent', answer.message)
         self.assertIs(read_response(answer)[0], Verdict.REFUSED)
@@ -455,56 +412,23 @@ class Functions(unittest.TestCase):
         frames.first(lambda m: m.text == 'tank' and m.direction == SerialMsg.TX)
         frames.first(lambda m: m.text == 'tank OK fluid_pressure=101320')
         self.assertGreater(len(self.asked(0x32)), 0)
+        self.assertEqual(self.asked(announcement.TYPE), [], 'bus/announcements is false')
 
 
-class OtherEnds(unittest.TestCase):
-    """What a caller reads if something other than the bridge answers."""
-
-    def verdict(self, uri):
-        """The verdict of a call of a service that is registered at a URI."""
-        master = rosgraph.Master('/somebody')      # another node than this one
-        master.registerService('/elsewhere', uri, 'http://127.0.0.1:9/')
-        self.addCleanup(master.unregisterService, '/elsewhere', uri)
-        with self.assertRaises(rospy.ServiceException) as caught:
-            rospy.ServiceProxy('/elsewhere', Trigger)()
-        return read_error(caught.exception)
+class NobodyListens(unittest.TestCase):
+    """What a caller reads if the bridge has ended."""
 
     def test_nothing_was_sent_if_nobody_listens(self):
+        master = rosgraph.Master('/somebody')      # another node than this one
         with socket.socket() as unused:
             unused.bind(('127.0.0.1', 0))
-            self.assertEqual(self.verdict('rosrpc://127.0.0.1:%d' % unused.getsockname()[1]),
-                             (Verdict.REFUSED, 'nothing was sent: the bridge does not answer'))
-
-    def test_the_outcome_is_not_known_if_the_connection_ends_during_a_call(self):
-        verdict, words = self.verdict(self.serve(lambda connection: None))
-        self.assertIs(verdict, Verdict.NOT_KNOWN)
-        self.assertRegex(words, '^no answer was received: .*; look before you repeat it$')
-
-    def test_the_outcome_is_not_known_after_an_error_of_another_form(self):
-        said = b'error processing request: "\xc3\xbc"'
-        verdict, words = self.verdict(self.serve(lambda connection: connection.sendall(
-            struct.pack('<BI', 0, len(said)) + said)))
-        self.assertIs(verdict, Verdict.NOT_KNOWN)
-        self.assertEqual(words, 'error processing request: "\u00fc"; look before you repeat it')
-
-    def serve(self, answer):
-        """Start a service that answers one request with these bytes; return its URI."""
-        server = socket.socket()
-        self.addCleanup(server.close)
-        server.bind(('127.0.0.1', 0))
-        server.listen(1)
-
-        def run():
-            connection, _ = server.accept()
-            with connection:
-                rosgraph.network.read_ros_handshake_header(connection, io.BytesIO(), 65536)
-                rosgraph.network.write_ros_handshake_header(connection, {
-                    'callerid': '/elsewhere', 'md5sum': Trigger._md5sum,
-                    'type': Trigger._type, 'request_type': '', 'response_type': ''})
-                connection.recv(4, socket.MSG_WAITALL)      # the length of the request, which is 0
-                answer(connection)
-        threading.Thread(target=run, daemon=True).start()
-        return 'rosrpc://127.0.0.1:%d' % server.getsockname()[1]
+            uri = 'rosrpc://127.0.0.1:%d' % unused.getsockname()[1]
+            master.registerService('/elsewhere', uri, 'http://127.0.0.1:9/')
+            self.addCleanup(master.unregisterService, '/elsewhere', uri)
+            with self.assertRaises(rospy.ServiceException) as caught:
+                rospy.ServiceProxy('/elsewhere', Trigger)()
+        self.assertEqual(read_error(caught.exception),
+                         (Verdict.REFUSED, 'nothing was sent: the bridge does not answer'))
 
 
 class Names(unittest.TestCase):
@@ -563,6 +487,8 @@ class Mistakes(unittest.TestCase):
                  'is float32; a text needs a string'),
                 ({'layout': '<h*'}, '/fields', 'the * in the layout needs an array of any length'),
                 ({'frame_id': 'x'}, '/frame_id', 'needs a type with a header'),
+                ({'layout': '<I', 'fields': ['@time']}, '/fields',
+                 'needs a type with a header, std_msgs/Float32 has none'),
                 ({'ros_type': 'std_msgs/String'}, '/fields',
                  'is string, which cannot hold a number'),
                 ({'ros_type': 'std_msgs/Header', 'fields': ['stamp']}, '/fields', 'is time'),
@@ -653,11 +579,6 @@ class Mistakes(unittest.TestCase):
         # These names differ: mcu/imu is not ~imu, and a topic may have the name of a parameter.
         check({'arduino': {'messages': {'status': FORCE, 'port': dict(FORCE, type=33)}},
                'mcu': {'messages': {'voltage': FORCE}}}, '/node')
-
-    def test_there_are_no_rows_by_default(self):
-        values, _ = check({}, '/node')
-        for name in 'arduino/messages', 'mcu/messages', 'bus/functions':
-            self.assertEqual((PARAMETERS[name].default, values[name]), ({}, []))
 
 
 if __name__ == '__main__':

@@ -94,8 +94,9 @@ class Tutorial(unittest.TestCase):
         if line.startswith('arduino-cli'):
             self.flash(line.split()[-1])
             return
-        for shown, here in ((PORT, self.port), (CHIP, os.path.join(self.folder, 'chip')),
-                            ('$PWD/build', self.build), ('build/sketches', self.build + '/sketches')):
+        for shown, here in (
+                (PORT, self.port), (CHIP, os.path.join(self.folder, 'chip')),
+                ('$PWD/build', self.build), ('build/sketches', self.build + '/sketches')):
             line = line.replace(shown, here)
         if 'avr_board' in line:
             self.start_chip(line)
@@ -106,12 +107,14 @@ class Tutorial(unittest.TestCase):
             self.launched = subprocess.Popen(['bash', '-c', 'exec ' + line], cwd=self.folder,
                                              stdout=self.output, stderr=subprocess.STDOUT,
                                              start_new_session=True)
-            until(lambda: 'open' in self.said(), f'{line} opens a port', every=0.1)
+            # roslaunch, the simulated boards and the bridge start one after the other.
+            until(lambda: 'open' in self.said(), f'{line} opens a port', 4 * PATIENCE, every=0.1)
             return
-        # Repeat it if the bridge was not running yet, as a reader does.
-        limited = line if line.startswith(('make', 'echo')) else 'timeout 8 ' + line
+        # Repeat it if the bridge was not running yet, as a reader does. A tool of ROS that is ended
+        # while it starts may never end. A build takes its time.
+        patient = '' if line.startswith(('make', 'echo')) else f'timeout -k 5 {PATIENCE:g} '
         until(lambda: subprocess.run(
-            ['bash', '-c', limited], cwd=self.folder, stdout=subprocess.DEVNULL,
+            ['bash', '-c', patient + line], cwd=self.folder, stdout=subprocess.DEVNULL,
             stderr=subprocess.STDOUT).returncode == 0, f'{line} succeeds', 4 * PATIENCE)
 
     def said(self):

@@ -152,13 +152,6 @@ class SlowSubscriber(unittest.TestCase):
         until(lambda: not direct._sender._slow, 'nothing is kept')
 
 
-class Installed(unittest.TestCase):
-    """The connections of this process."""
-
-    def test_the_installed_rospy_is_patched(self):
-        self.assertIs(rospy.topics.QueuedConnection, direct.DirectConnection)
-
-
 if __name__ == '__main__':
     rospy.init_node('direct_test')
     rostest.rosrun(PACKAGE, 'direct', '__main__')

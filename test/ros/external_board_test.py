@@ -6,7 +6,6 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import unittest
 from math import hypot
@@ -19,8 +18,6 @@ from geometry_msgs.msg import Vector3Stamped
 from boards import (ERROR, OK, PACKAGE, PATIENCE, Diagnostics, Line, Topic, own_folder, program,
                     until)
 from serial_communication.msg import SerialMsg
-from serial_communication.tools.panel.wire import FrameExplainer
-from serial_communication.tools.watch.topics import boards_of
 
 PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'developing.md'
 _FILE = re.compile(r'<!-- file: (\S+) -->\n```\w+\n(.*?)^```$', re.MULTILINE | re.DOTALL)
@@ -96,12 +93,6 @@ class ExternalBoard(unittest.TestCase):
         started = self.start(*command)
         return started.process.wait(4 * PATIENCE), started.output()
 
-    def spare(self, name):
-        """A line that no bridge uses."""
-        line = Line(os.path.join(self.folder, name)).plug()
-        self.addCleanup(line.unplug)
-        return line
-
     def say(self, data, line=None):
         with open((line or self.line).far, 'wb', buffering=0) as board:
             board.write(data)
@@ -154,40 +145,15 @@ class ExternalBoard(unittest.TestCase):
         self.assertEqual(status, 1)
         self.assertIn('incomplete', output)
 
-    def test_its_frames_are_explained_on_the_page(self):
-        shown = self.traffic.next(lambda m: True, doing=lambda: self.say(GUST))
-        sys.path.insert(0, self.folder)
-        self.addCleanup(sys.path.remove, self.folder)
-        parameters = rospy.get_param('/serial_communication')
-        explainer = FrameExplainer(boards_of(parameters), parameters)
-        self.assertEqual([part[0] for part in explainer.explain(shown, 0.0)[-1]], PARTS)
-
     def test_its_line_is_listened_to_and_what_is_kept_has_statistics(self):
-        self.look_on('listen', self.spare('listened'))
-
-    def test_its_line_is_tapped_and_what_is_kept_has_statistics(self):
-        computer = self.spare('computer')
-        end = os.open(computer.far, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
-        self.addCleanup(os.close, end)
-        passed_on = bytearray()
-
-        def is_passed_on():
-            try:
-                passed_on.extend(os.read(end, 4096))
-            except BlockingIOError:
-                pass
-            return GUST in passed_on
-
-        self.look_on('tap', self.spare('tapped'), computer.near, also=is_passed_on)
-
-    def look_on(self, name, sensor, *ports, also=lambda: True):
-        """Wait until a sentence is shown and `also` is true."""
-        kept = os.path.join(self.folder, name + '.txt')
-        onlooker = self.start('wire', name, 'wind', sensor.near, *ports, '--config', self.config,
+        kept = os.path.join(self.folder, 'kept.txt')
+        line = Line(os.path.join(self.folder, 'listened')).plug()
+        self.addCleanup(line.unplug)
+        listener = self.start('wire', 'listen', 'wind', line.near, '--config', self.config,
                               '--json', '--raw', kept)
-        until(lambda: also() and TEXT in onlooker.output(), 'a sentence is shown',
-              4 * PATIENCE, doing=lambda: self.say(GUST, sensor), every=0.1)
-        self.assertEqual(onlooker.end(), 0)
+        until(lambda: TEXT in listener.output(), 'a sentence is shown',
+              4 * PATIENCE, doing=lambda: self.say(GUST, line), every=0.1)
+        self.assertEqual(listener.end(), 0)
         status, output = self.run_program('wire', 'stats', kept, '--config', self.config, '--json')
         self.assertEqual(status, 0, output)
         received = json.loads(output)['links']['wind']['from the board']

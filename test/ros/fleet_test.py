@@ -8,13 +8,15 @@ import subprocess
 import tempfile
 import unittest
 
+import roslaunch
 import rospy
 import rostest
 from sensor_msgs.msg import Imu, Range
 from tf2_msgs.msg import TFMessage
 
 from boards import (PACKAGE, PATIENCE, BusBoard, CarBoard, Diagnostics, Line, SensorBoard, Topic,
-                    command_topic, level_imu, own_folder, ranges, service, settle, until)
+                    command_topic, level_imu, own_folder, ranges, service, settle, until,
+                    wait_for_launch)
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand, Ticks,
                                       Voltage)
 from serial_communication.boards.arduino import wire as arduino
@@ -91,6 +93,7 @@ class Fleet(unittest.TestCase):
         cls.process = subprocess.Popen(['roslaunch', path], stdout=cls.output,
                                        stderr=subprocess.STDOUT)
         for robot in cls.robots:
+            wait_for_launch(robot.node)
             settle(robot.node, robot.bus)
             until(lambda r=robot: r.car.connected and r.sensors.connected, 'its boards are there')
 
@@ -174,18 +177,12 @@ class Fleet(unittest.TestCase):
         until(lambda: {f'/{robot.node}' for robot in self.robots} <= named(), 'each has a line')
 
     def test_simulated_boards_of_several_robots_have_different_ports_and_names(self):
-        folder = own_folder()
-        try:
-            path = launch_file(folder, lambda number: [('sim', 'true')])
-            done = subprocess.run(['roslaunch', '--dump-params', path], stdout=subprocess.PIPE,
-                                  text=True, check=True)
-            ports = [line.split(': ')[1] for line in done.stdout.split('\n') if '/port:' in line]
-            self.assertEqual((len(ports), len(set(ports))), (9, 9), done.stdout)
-            nodes = subprocess.run(['roslaunch', '--nodes', path], stdout=subprocess.PIPE,
-                                   text=True, check=True).stdout.split()
-            self.assertEqual((len(nodes), len(set(nodes))), (21, 21), nodes)
-        finally:
-            shutil.rmtree(folder)
+        config = roslaunch.config.load_config_default(
+            [launch_file(self.folder, lambda number: [('sim', 'true')])], None)
+        ports = [each.value for name, each in config.params.items() if name.endswith('/port')]
+        self.assertEqual((len(ports), len(set(ports))), (9, 9), ports)
+        nodes = [each.namespace + each.name for each in config.nodes]
+        self.assertEqual((len(nodes), len(set(nodes))), (21, 21), nodes)
 
 
 if __name__ == '__main__':

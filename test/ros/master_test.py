@@ -1,208 +1,245 @@
 #!/usr/bin/python3
-"""The master ends, is replaced by a new one, or hangs, while a bridge is running."""
-import os
-import signal
+"""The master fails while a bridge starts, while one of its boards announces rows, or while it runs.
+The campaign replaces the master of a bridge that runs, too."""
 import socket
-import subprocess
+import socketserver
+import threading
+import time
+import xmlrpc.client
+from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
 import rosgraph
 import rostest
 
 from boards import PACKAGE, PATIENCE, BoardsTest, BusBoard, CarBoard, until
 from heartbeats import HeartbeatWatch
-from serial_communication.boards.arduino import wire as arduino
 from serial_communication.framing.announcement import chunks_of
 
-NAME = '/' + PACKAGE
 WITHIN = 10.0         # s in which the bridge must register at a new master
-MOUNT = [1.0, 2.0, 3.0, 0.0, 0.0, 0.0]
-
-
-def free_port():
-    """A TCP port of this host that is not in use."""
-    with socket.socket() as listener:
-        listener.bind(('127.0.0.1', 0))
-        return listener.getsockname()[1]
-
-
-def answer_of(call, *arguments):
-    """Return the answer of a call of the master; None for an error."""
-    try:
-        return call(*arguments)
-    except (rosgraph.MasterException, OSError):
-        return None
+ROW = b'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data]}'
 
 
 def state(server, node):
-    """Return a node's topics, subscriptions and services."""
-    return [{name for name, nodes in entries if node in nodes}
-            for entries in server.getSystemState()]
+    """Return a node's topics, subscriptions and services; none if the master does not answer."""
+    try:
+        return [{name for name, nodes in entries if node in nodes}
+                for entries in server.getSystemState()]
+    except (rosgraph.MasterException, OSError):
+        return [set()] * 3
 
 
-def start_core(uri):
-    """Start a roscore and return its process."""
-    core = subprocess.Popen(['roscore', '-p', uri.rsplit(':', 1)[1]],
-                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    server = rosgraph.Master('/master_test', uri)
-    until(server.is_online, 'the master answers', every=0.1)
-    # Until then, Ctrl-C may miss the node that it is starting, and then takes 15 s.
-    until(lambda: answer_of(server.lookupNode, '/rosout'), 'roscore is complete')
-    return core
+class MasterInBetween:
+    """A ROS master that passes every call on to the test's own, and fails as the test wants.
 
+    Args:
+        answered: called with the method and the arguments of each call, after the master has
+            answered; returns True to close the connection without an answer.
+    """
 
-def stop_core(core):
-    """Send Ctrl-C, and wait until the master has ended."""
-    core.send_signal(signal.SIGINT)
-    core.wait(PATIENCE)
+    def __init__(self, answered):
+        self._away_until = 0.0      # by time.monotonic()
+        self.master = rosgraph.get_master_uri()     # that is called
+        between = self
 
+        class Server(socketserver.ThreadingMixIn, SimpleXMLRPCServer):
+            daemon_threads = True
 
-class Tool:
-    """A command line tool of ROS that uses the master at `uri`."""
+            def verify_request(self, request, client_address):
+                return time.monotonic() >= between._away_until
 
-    def __init__(self, uri, *command):
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE,
-                                         stderr=subprocess.STDOUT, text=True,
-                                         env=dict(os.environ, ROS_MASTER_URI=uri))
+        class Handler(SimpleXMLRPCRequestHandler):
+            def do_POST(self):
+                body = self.rfile.read(int(self.headers['Content-Length']))
+                arguments, method = xmlrpc.client.loads(body)
+                with xmlrpc.client.ServerProxy(between.master) as master:
+                    try:
+                        answer = xmlrpc.client.dumps((getattr(master, method)(*arguments),),
+                                                     methodresponse=True)
+                    except xmlrpc.client.Fault as fault:
+                        answer = xmlrpc.client.dumps(fault)
+                if answered(method, arguments):
+                    self.close_connection = True
+                    return
+                data = answer.encode()
+                self.send_response(200)
+                self.send_header('Content-Type', 'text/xml')
+                self.send_header('Content-Length', str(len(data)))
+                self.end_headers()
+                self.wfile.write(data)
 
-    def output(self):
-        """Wait until the tool ends by itself; return its output."""
-        return self._process.communicate(timeout=2 * PATIENCE)[0]
+        self._server = Server(('localhost', 0), Handler, logRequests=False)
+        self.uri = 'http://localhost:%d' % self._server.server_address[1]
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
+
+    def is_away_for(self, seconds):
+        """Close every new connection at once, for a time."""
+        self._away_until = time.monotonic() + seconds
 
     def close(self):
         """End it."""
-        self._process.kill()
-        self._process.communicate()
+        self._server.shutdown()
+        self._server.server_close()
 
 
 class MasterTest(BoardsTest):
-    """A bridge with two boards, and a roscore that the tests restart."""
+    """A car, and masters beside rostest's."""
 
     def setUp(self):
         super().setUp()
-        self.bus, self.car = self.plug('bus', BusBoard), self.plug('arduino', CarBoard)
-        self.uri = 'http://localhost:%d' % free_port()
-        self.server = rosgraph.Master('/master_test', self.uri)
-        self.core = None
-        self.start_core()
-        self.addCleanup(self.stop_core)
-        self.bridge = self.start_bridge(master=self.uri, parameters={
-            'bus/port': self.lines['bus'].near, 'bus/environment_period': 0.2,
-            'arduino/port': self.lines['arduino'].near, 'arduino/speed_timeout': 0.0,
-            'arduino/imu_mount': MOUNT})
-        until(lambda: self.known(), 'the bridge is up')
-        self.before = self.state()
+        self.car = self.plug('arduino', CarBoard)
+        self.server = rosgraph.Master('/master_test')
+        self.bridge = None
+
+    def announce(self):
+        """Announce the row until it is in use."""
+        until(lambda: 'announces force' in self.bridge.output(), 'the row is in use', every=0.2,
+              doing=lambda: [self.car.say(chunk) for chunk in chunks_of(ROW, 50)])
+
+    def is_up(self, name):
+        """Whether the last of the bridge's services is registered."""
+        return f'/{name}/calibrate_imu' in state(self.server, f'/{name}')[2]
+
+    def assert_ends(self):
+        seconds, status = self.bridge.end()
+        self.assertEqual(status, 0, self.bridge.output())
+        self.assertNotIn('Traceback', self.bridge.output())
+        return seconds
+
+
+class StartTest(MasterTest):
+    """A master that fails while the bridge starts."""
+
+    def start(self, name, answered):
+        """Start a bridge whose port is a parameter of its command line."""
+        self.master = MasterInBetween(answered)
+        self.addCleanup(self.master.close)
+        self.bridge = self.start_bridge(
+            name, arguments=['_arduino/port:=' + self.lines['arduino'].near],
+            master=self.master.uri)
+
+    def assert_it_works(self, name):
+        """The bridge has its port and all its names."""
+        until(lambda: not self.bridge.alive or self.is_up(name), 'the bridge is up', 4 * PATIENCE)
+        self.assertTrue(self.bridge.alive, self.bridge.output())
         self.car.wait_for_heartbeats(1)
+        self.assert_ends()
+        self.assertNotIn('no port is set (', self.bridge.output())
 
-    def start_core(self):
-        """Start a roscore, always at the same port."""
-        self.core = start_core(self.uri)
+    def test_a_master_that_ends_at_any_call_of_the_start_is_waited_for(self):
+        ended_at = []
 
-    def stop_core(self):
-        """Send Ctrl-C, and wait until the master has ended."""
-        stop_core(self.core)
+        def answered(method, arguments):
+            """End, for a moment, at the first call of each kind; its answer is lost."""
+            call = method, str(arguments[1:2])
+            if call in ended_at or not self.bridge:     # not the bridge's
+                return False
+            ended_at.append(call)
+            self.master.is_away_for(0.25)
+            return True
 
-    def state(self):
-        """The bridge's topics, subscriptions and services."""
-        return state(self.server, NAME)
+        self.start('ended', answered)
+        self.assert_it_works('ended')
+        methods = {method for method, _ in ended_at}
+        self.assertLessEqual({'setParam', 'getParam', 'registerPublisher', 'registerSubscriber',
+                              'registerService'}, methods)
 
-    def known(self):
-        """Whether the last of its services is registered."""
-        state = answer_of(self.state)
-        return state and NAME + '/calibrate_imu' in state[2] and '/diagnostics' in state[0]
+    def test_parameters_of_the_command_line_survive_a_new_master(self):
+        def answered(method, arguments):
+            """Forget the parameters once they are set, as a new master."""
+            if method == 'setParam' and arguments[1] == '/survives/arduino/port':
+                rosgraph.Master('/master_test').deleteParam(arguments[1])
+            return False
 
-    def call(self, name, *arguments):
-        """Return the output of `rosservice call`."""
-        return Tool(self.uri, 'rosservice', 'call', NAME + '/' + name, *arguments).output()
+        self.start('survives', answered)
+        self.assert_it_works('survives')
 
-    def assert_a_fresh_subscriber_gets_data(self):
-        """`rostopic echo`, which asks the master, receives data."""
-        tool = Tool(self.uri, 'rostopic', 'echo', '-n', '1', NAME + '/voltage/value')
-        try:
-            until(lambda: tool._process.poll() is not None, 'rostopic gets a message',
-                  2 * PATIENCE, doing=lambda: self.car.say(arduino.Voltage(12.0)), every=0.1)
-            self.assertIn('12.0', tool.output())
-        finally:
-            tool.close()
+    def test_what_was_registered_at_a_master_that_ended_in_between_is_registered_again(self):
+        other = self.start_master()
 
-    def watch_heartbeats(self):
-        """Watch the heartbeats from now on."""
-        return HeartbeatWatch(self.car, self.bridge.process.pid)
+        def answered(method, arguments):
+            """Be another master from the second service on."""
+            if arguments[1:2] == ('/between/set_logger_level',) and self.server is not other.server:
+                self.master.master, self.server = other.uri, other.server
+                return True
+            return False
 
-    def test_topics_services_and_parameters_are_registered_at_a_new_master(self):
-        text = b'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data]}'
-        until(lambda: NAME + '/force' in self.state()[0], 'the announced row is in use',
-              doing=lambda: [self.car.say(chunk) for chunk in chunks_of(text, 50)])
-        self.before = self.state()
-        for turn in range(2):
-            heartbeats = self.watch_heartbeats()
-            self.stop_core()
-            self.start_core()
-            until(lambda: self.state() == self.before and self.server.hasParam(NAME),
-                  'turn %d: all is there again' % turn, WITHIN)
-        self.assertEqual(self.server.getParam(NAME + '/arduino/imu_mount'), MOUNT)
-        self.assertEqual(self.server.getParam(NAME + '/arduino/announced/force/type'), 32)
-        self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines['bus'].near)
-        self.assert_a_fresh_subscriber_gets_data()
-        self.assertIn('success: True', self.call('lift', '{direction: 0, distance: 100}'))
-        publisher = Tool(self.uri, 'rostopic', 'pub', '-r', '10', NAME + '/speed',
-                         PACKAGE + '/SpeedPWMCommand', '{value: 321}')
-        try:
-            until(lambda: 321 in self.car.speeds, 'a new publisher reaches the bridge')
-        finally:
-            publisher.close()
-        heartbeats.check()
-        output = self.bridge.output()
-        self.assertEqual(output.count('is a new ROS master'), 2, output)
-        self.assertEqual(output.count('lost'), 0, output)
-        self.assertEqual(self.car.bad, [])
+        self.start('between', answered)
+        until(lambda: self.is_up('between'), 'the bridge is up')
+        until(lambda: '/rosout' in state(self.server, '/between')[0] and '/between/get_loggers'
+              in state(self.server, '/between')[2], 'the first ones are registered, too', WITHIN)
+        self.assertEqual(self.server.getParam('/between/arduino/port'),
+                         self.lines['arduino'].near)
+        self.assert_it_works('between')
 
-    def test_parameters_that_a_new_master_already_has_are_kept(self):
-        self.stop_core()
-        self.start_core()
-        self.server.setParam(NAME + '/bus/retries', 7)
-        until(lambda: self.known(), 'all is there again', WITHIN)
-        self.assertEqual(self.server.getParam(NAME + '/bus/retries'), 7)
-        self.assertEqual(self.server.getParam(NAME + '/bus/port'), self.lines['bus'].near)
+    def test_a_call_that_is_never_answered_does_not_end_announcements(self):
+        hung = threading.Event()
 
-    def test_connected_nodes_stay_connected_without_a_master(self):
-        echo = Tool(self.uri, 'rostopic', 'echo', '-n', '2', NAME + '/voltage/value')
-        publisher = Tool(self.uri, 'rostopic', 'pub', '-r', '10', NAME + '/speed',
-                         PACKAGE + '/SpeedPWMCommand', '{value: 321}')
-        try:
-            until(lambda: 321 in self.car.speeds, 'the car drives')
-            until(lambda: any(name == NAME + '/voltage' and nodes for name, nodes
-                              in self.server.getSystemState()[1]), 'rostopic subscribes')
-            self.stop_core()
-            self.bridge.wait_for('no answer from the ROS master')
-            heartbeats = self.watch_heartbeats()
-            until(lambda: len(self.car.speeds) >= 5, 'the commands go on')
-            until(lambda: echo._process.poll() is not None, 'the subscriber still gets messages',
-                  doing=lambda: self.car.say(arduino.Voltage(12.0)), every=0.1)
-            heartbeats.check()
-        finally:
-            publisher.close()
-            echo.close()
+        def answered(method, arguments):
+            """Never answer the registration of the first announced topic."""
+            if method == 'registerPublisher' and arguments[1] == '/hung/force' \
+                    and not hung.is_set():
+                hung.set()
+                time.sleep(1e6)
+            return False
 
-    def test_a_master_that_hangs_delays_nothing(self):
-        self.core.send_signal(signal.SIGINT)
-        self.core.wait(PATIENCE)
+        self.start('hung', answered)
+        until(lambda: self.is_up('hung'), 'the bridge is up')
+        self.announce()
+        self.assertTrue(hung.is_set())
+        self.assert_it_works('hung')
+
+    def test_ctrl_c_ends_a_start_whose_master_does_not_answer(self):
+        asked = threading.Event()
+
+        def answered(method, arguments):
+            if method == 'getParam' and arguments[1].rstrip('/') == '/waits':
+                asked.set()
+                time.sleep(1e6)
+            return False
+
+        self.start('waits', answered)
+        self.assertTrue(asked.wait(2 * PATIENCE))
+        self.assert_ends()
+
+
+class ReplacedTest(MasterTest):
+    """The master of a bridge that runs is replaced by a new one, and then hangs."""
+
+    def test_a_new_master_gets_announced_rows_and_keeps_its_parameters_and_may_hang(self):
+        bus, name = self.plug('bus', BusBoard), '/' + PACKAGE
+        master = self.start_master()
+        self.server = master.server
+        self.bridge = self.start_bridge(master=master.uri, parameters={
+            'bus/port': self.lines['bus'].near, 'bus/environment_period': 0.2,
+            'arduino/port': self.lines['arduino'].near})
+        until(lambda: self.is_up(PACKAGE), 'the bridge is up')
+        self.announce()
+        before = state(self.server, name)
+        self.assertIn(name + '/force', before[0])
+        master.end()
+        master.start()
+        self.server.setParam(name + '/bus/retries', 7)
+        until(lambda: state(self.server, name) == before
+              and self.server.hasParam(name + '/arduino/announced'), 'all is there again', WITHIN)
+        for key, value in (('bus/retries', 7), ('bus/port', self.lines['bus'].near),
+                           ('arduino/announced/force/type', 32)):
+            self.assertEqual(self.server.getParam(f'{name}/{key}'), value)
+        self.assertEqual(self.bridge.output().count('is a new ROS master'), 1)
+
+        master.end()
         with socket.socket() as hung:
             hung.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            hung.bind(('', int(self.uri.rsplit(':', 1)[1])))
+            hung.bind(('', int(master.uri.rpartition(':')[2])))
             hung.listen(64)
-            heartbeats = self.watch_heartbeats()
+            heartbeats = HeartbeatWatch(self.car, self.bridge.process.pid)
             self.bridge.wait_for('no answer from the ROS master')
             self.lines['bus'].unplug()       # this is logged, also to /rosout
             self.lines['bus'].plug()
             self.bridge.wait_for('opening it again')
-            self.bus.forget()
-            until(lambda: self.bus.others, 'the bus is polled again')
-            self.car.wait_for_heartbeats(100)
+            bus.forget()
+            until(lambda: bus.others, 'the bus is polled again')
             heartbeats.check()
-            seconds, status = self.bridge.end()
-            self.assertEqual(status, 0, self.bridge.output())
-            self.assertLess(seconds, 2.5)
-        self.start_core()
+            self.assertLess(self.assert_ends(), 2.5)
 
 
 if __name__ == '__main__':

@@ -1,6 +1,7 @@
 #!/usr/bin/python3
-"""Mistakes beyond a single parameter: each ends the node with one line and status 1, and Ctrl-C
-ends a node that hangs. parameter_table_test has more of them, without processes."""
+"""Mistakes beyond a single parameter: each ends the node with one line and status 1. Signals end a
+node that hangs. parameter_table_test has more mistakes, without processes."""
+import itertools
 import os
 import shutil
 import signal
@@ -11,10 +12,13 @@ from multiprocessing.pool import ThreadPool
 from pathlib import Path
 
 import rosgraph
+import rosnode
 import rospy
 import rostest
 
-from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, until
+from boards import (PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, Bridge, CarBoard, Line,
+                    command_topic, own_folder, until)
+from serial_communication.msg import SpeedPWMCommand
 
 ENDS_IN = 2.0        # s from a signal until the node has ended, even if something hangs
 DESCRIPTION = """
@@ -40,12 +44,9 @@ class INTERFACE(Interface):
 """
 HANGS = 'open(__file__ + ".begun", "w").close(); time.sleep(1e6)'
 MODULES = {      # by name: the code, and a part of the line that the node logs
-    'exits': ('import sys; sys.exit(3)', "importing 'exits' failed: SystemExit: 3 ("),
-    'interrupts': ('raise KeyboardInterrupt', "importing 'interrupts' failed: KeyboardInterrupt"),
     'leaves_a_thread': ('import threading, time\n'
                         'threading.Thread(target=time.sleep, args=(1e6,)).start(); 1 / 0',
                         "importing 'leaves_a_thread' failed: ZeroDivisionError"),
-    'not_made': (BOARD + '        1 / 0', 'the board wind (not_made.ros) cannot start: ZeroDiv'),
     'exits_as_made': (BOARD + '        raise SystemExit(3)',
                       'the board wind (exits_as_made.ros) cannot start: SystemExit: 3 ('),
     'linkless': (BOARD + '        self.link = 5',
@@ -64,19 +65,13 @@ HANGING = {
 }
 # A link of the node, a remapping, and a part of the line that the node logs.
 REMAPPED = (
-    ('bus', '~lift:=~gimbal', '/NODE/gimbal cannot be a serial_communication/Gimbal: this node '
-     'already uses the name for a serial_communication/Lift'),
-    ('bus', '~lift:=~set_logger_level', 'already uses the name for a roscpp/SetLoggerLevel'),
+    ('bus', '~lift:=~set_logger_level', '/NODE/set_logger_level cannot be a serial_communication/'
+     'Lift: this node already uses the name for a roscpp/SetLoggerLevel'),
     ('bus', '~lift:=serial_msg', '/serial_msg cannot be a serial_communication/Lift: this node '
      'already uses the name for a serial_communication/SerialMsg'),
-    ('arduino', '~voltage:=~ticks', '/NODE/ticks cannot be a serial_communication/Ticks: this node '
-     'already uses the name for a serial_communication/Voltage'),
     ('arduino', '~speed:=~steering', '/NODE/steering cannot be a serial_communication/'
      'SteeringPWMCommand: this node already uses the name for a serial_communication/'
      'SpeedPWMCommand'),
-    ('arduino', '~speed:=~voltage', '/NODE/voltage cannot be a serial_communication/'
-     'SpeedPWMCommand: this node already uses the name for a serial_communication/Voltage'),
-    ('mcu', 'serial_msg:=mcu/imu', '/mcu/imu cannot be a serial_communication/SerialMsg'),
     ('mcu', 'mcu/range_1:=mcu/range_2', '/mcu/range_2 cannot be a sensor_msgs/Range: this node '
      'already uses the name for a sensor_msgs/Range'),
 )
@@ -144,30 +139,27 @@ class Mistakes(unittest.TestCase):
             results = pool.starmap(self.ended, [
                 (name, {'boards': [name], 'wind/port': self.absent(name)}) for name in MODULES])
         for (name, (_text, said)), result in zip(MODULES.items(), results):
-            with self.subTest(name):
-                self.assert_one_line(f'parameter /{name}/boards', *result)
-                self.assert_one_line(said, *result)
+            self.assert_one_line(f'parameter /{name}/boards', *result)
+            self.assert_one_line(said, *result)
 
-    def ends_by_signals(self, name):
-        """End a node that hangs, by each signal; return (seconds, status, output) for each."""
-        begun, ends = Path(self.folder, name + '.py.begun'), []
+    def end_by_signal(self, name, number):
+        """End a node that hangs; return how many s that took, its status and its output."""
+        begun = Path(self.folder, name + '.py.begun')
         if HANGING[name].startswith(BOARD):
             begun = Path(self.folder, name, 'ros.py.begun')
-        for number in signal.SIGINT, signal.SIGTERM:
-            bridge = Bridge(name, {'boards': [name], 'wind/port': self.absent(name)})
-            until(begun.exists, f'{name}: it hangs')
-            ends.append((*bridge.end(number), bridge.output()))
-            begun.unlink()
-        return ends
+        bridge = Bridge(name, {'boards': [name], 'wind/port': self.absent(name)})
+        until(begun.exists, f'{name}: it hangs')
+        begun.unlink()
+        return (*bridge.end(number), bridge.output())
 
     def test_a_signal_ends_the_node_while_a_boards_code_hangs(self):
         with ThreadPool(2) as pool:
-            ends = pool.map(self.ends_by_signals, HANGING)
-        for name, by_signals in zip(HANGING, ends):
-            for seconds, status, output in by_signals:
-                self.assertEqual(status, 0, (name, output))
-                self.assertLess(seconds, ENDS_IN, name)
-                self.assertNotIn('Traceback', output)
+            ends = pool.starmap(self.end_by_signal, zip(HANGING, itertools.cycle(
+                (signal.SIGINT, signal.SIGTERM))))
+        for name, (seconds, status, output) in zip(HANGING, ends):
+            self.assertEqual(status, 0, (name, output))
+            self.assertLess(seconds, ENDS_IN, name)
+            self.assertNotIn('Traceback', output)
 
     def test_a_slow_import_is_logged_while_it_lasts(self):
         bridge = Bridge('slow', {'boards': ['hangs'], 'wind/port': self.absent('slow')})
@@ -183,9 +175,8 @@ class Mistakes(unittest.TestCase):
                 (f'remapped_{number}', {f'{link}/port': self.absent(link)}, [argument])
                 for number, (link, argument, _) in enumerate(REMAPPED)])
         for number, ((_link, argument, said), result) in enumerate(zip(REMAPPED, results)):
-            with self.subTest(argument):
-                self.assert_one_line(said.replace('NODE', f'remapped_{number}'), *result)
-                self.assert_one_line(f'; check the remappings {argument}', *result)
+            self.assert_one_line(said.replace('NODE', f'remapped_{number}'), *result)
+            self.assert_one_line(f'; check the remappings {argument}', *result)
 
     def test_a_bridge_with_the_name_of_its_topics_ends_with_one_line(self):
         result = self.ended('mcu', {'arduino/port': self.absent('arduino'),
@@ -202,17 +193,15 @@ class Mistakes(unittest.TestCase):
 
     def test_the_car_is_stopped_if_a_later_board_fails_to_start(self):
         line = Line(os.path.join(self.folder, 'car')).plug()
+        self.addCleanup(line.unplug)
         car = CarBoard(line.far)
-        try:
-            until(lambda: car.connected, 'the board has its port')
-            result = self.ended('late', {'arduino/port': line.near, 'boards': ['not_advertised'],
-                                         'wind/port': self.absent('wind')})
-            self.assert_one_line('cannot start: ZeroDivisionError', *result)
-            until(lambda: car.raws[-1:] in ([], [bytes.fromhex('0204010100')]),
-                  f'SPEED 0 is the last packet, if any: {car.raws[-3:]}')
-        finally:
-            car.close()
-            line.unplug()
+        self.addCleanup(car.close)
+        until(lambda: car.connected, 'the board has its port')
+        result = self.ended('late', {'arduino/port': line.near, 'boards': ['not_advertised'],
+                                     'wind/port': self.absent('wind')})
+        self.assert_one_line('cannot start: ZeroDivisionError', *result)
+        until(lambda: car.raws[-1:] in ([], [SPEED_0_PACKET]),
+              f'SPEED 0 is the last packet, if any: {car.raws[-3:]}')
 
     def test_under_roslaunch_the_mistake_is_logged_once_and_ctrl_c_ends_the_node(self):
         def text():
@@ -230,6 +219,39 @@ class Mistakes(unittest.TestCase):
         self.assertEqual(self.launch.wait(3 * PATIENCE), 0)
         self.assertNotIn('escalating', text())
         self.assertNotIn('Traceback', text())
+
+
+class Ended(BoardsTest):
+    """Two more ways to end a bridge whose car drives; the campaign has the signals."""
+
+    def drive(self, **options):
+        """Start a bridge, and wait until it drives."""
+        self.car = self.plug('arduino', CarBoard)
+        self.bridge = self.start_bridge(
+            parameters={'arduino/port': self.lines['arduino'].near}, **options)
+        speed = command_topic('/serial_communication/speed', SpeedPWMCommand)
+        self.addCleanup(speed.unregister)
+        until(lambda: 400 in self.car.speeds, 'the car drives',
+              doing=lambda: speed.publish(value=400), every=0.05)
+
+    def assert_stopped(self):
+        self.assertNotIn('Traceback', self.bridge.output())
+        until(lambda: self.car.raws[-1:] == [SPEED_0_PACKET], 'SPEED 0 is the last packet')
+
+    def test_sighup_under_nohup_does_not_end_the_bridge(self):
+        # This is what nohup does; ignored signals are inherited.
+        self.drive(before=('sh', '-c', 'trap "" HUP; exec "$@"', 'nohup'))
+        self.bridge.process.send_signal(signal.SIGHUP)
+        self.car.forget()
+        self.car.wait_for_heartbeats(100)
+        self.assertEqual(self.bridge.end(signal.SIGTERM)[1], 0)
+        self.assert_stopped()
+
+    def test_rosnode_kill_stops_the_car_and_ends_the_bridge(self):
+        self.drive()
+        rosnode.kill_nodes(['/' + PACKAGE])
+        self.assertEqual(self.bridge.process.wait(PATIENCE), 0)
+        self.assert_stopped()
 
 
 if __name__ == '__main__':

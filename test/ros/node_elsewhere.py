@@ -3,6 +3,7 @@
 
 Environment:
 HOST: the name of the host that it seems to run on. Nodes with different HOSTs do not share a lock.
+WAITS: s for which it waits for the lock.
 MEETING: a folder. A node that has found its name free creates a file there, and continues when the
 folder has a file `go`.
 """
@@ -26,6 +27,7 @@ def look_and_meet(name):
 
 
 starting.running_node = look_and_meet
+starting._LOCK_PATIENCE = float(os.environ['WAITS'])
 starting._PROGRAM += os.environ.get('HOST', '')     # part of the lock's address
 if ':=' not in ''.join(sys.argv[1:2]):
     del sys.argv[1:2]       # the path of the node's program, which this program replaces

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""Ports that are absent, no ports at all, vanish, return elsewhere, or carry noise: the node
-lives, data flows again, and nothing old is sent."""
+"""Ports that are absent, no ports at all, vanish, or return elsewhere: the node lives, /diagnostics
+says so, data flows again, and nothing old is sent."""
 import os
 import shutil
 import signal
@@ -11,20 +11,15 @@ import rospy
 import rostest
 from std_srvs.srv import Trigger
 
-from boards import (ERROR, NOT_SENT, PACKAGE, SYNC_FRAME, Bridge, BusBoard, CarBoard, Diagnostics,
-                    Line, Rosout, SensorBoard, Topic, Waiter, own_folder, ranges, service, until)
+from boards import (ERROR, NOT_SENT, OK, PACKAGE, SYNC_FRAME, Bridge, BusBoard, CarBoard,
+                    Diagnostics, Line, SensorBoard, Topic, Waiter, level_imu, own_folder, ranges,
+                    service, until)
 from serial_communication.msg import McuStatus2, SerialMsg, Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 
 LINKS = 'bus', 'arduino', 'mcu'
-
-
-def setUpModule():
-    """What the nodes say."""
-    global ROSOUT
-    ROSOUT = Rosout()
 
 
 class PortsTest(unittest.TestCase):
@@ -98,17 +93,47 @@ class PortsTest(unittest.TestCase):
 class AbsentAtStart(PortsTest):
     """No port is there as the bridge starts."""
 
+    KEYS = {'port', 'state', 'frames received', 'frames sent', 'bytes received', 'bytes sent',
+            'stale', 'checksum errors', 'framing errors', 'reconnects', 'last frame age [s]'}
+    OWN_KEYS = {'bus': {'timeouts', 'round trip p50 [ms]', 'round trip max [ms]'},
+                'arduino': {'heartbeats sent', 'heartbeat gap [ms]', 'heartbeat max gap [ms]'},
+                'mcu': {'frames lost'}}
+
     def test_ports_that_come_later_are_opened_then(self):
         self.assertEqual(self.lift(0, 1).status, NOT_SENT)
         for link in LINKS:
             line = self.bridge.wait_for('%s: %s: there is no such device' % (
                 link, self.lines[link].near))
             self.assertIn('WARN', line)
+        self.assert_statuses(self.diagnostics.wait_for_all(
+            LINKS, lambda s, _link: s.level == ERROR and 'no such device' in s.message,
+            'no device'))
         self.plug()
         self.assert_flows()
         self.assertEqual(bytes(self.boards['bus'].wire[:5]), SYNC_FRAME)
-        found = self.diagnostics.fresh_of_all(LINKS, lambda s, _link: s.level != ERROR, 'no error')
+        found = self.diagnostics.fresh_of_all(LINKS, lambda s, _link: s.level == OK, 'OK',
+                                              self.talk)
+        self.assert_statuses(found)
         self.assertEqual({s.keys['reconnects'] for s in found.values()}, {'0'})
+
+    def talk(self):
+        """Send what keeps the links OK."""
+        self.boards['arduino'].say(level_imu())
+        self.boards['mcu'].say(ranges())
+
+    def assert_statuses(self, found):
+        """Each link has one status with every key and its port as hardware id, once a second."""
+        for link, status in found.items():
+            self.assertEqual(status.hardware_id, self.lines[link].near)
+            self.assertEqual(status.keys['port'], status.hardware_id)
+            self.assertEqual((self.KEYS | self.OWN_KEYS[link]) - set(status.keys), set(), link)
+            until(lambda name=link: len(self.diagnostics.statuses(name)) >= 3, 'three statuses')
+            stamps = [each.stamp for each in self.diagnostics.statuses(link)]
+            # Not more often; only the first may have been late.
+            self.assertGreater(stamps[-1] - stamps[0], len(stamps) - 2.1, stamps)
+        names = [{s.name for s in m.status if s.name.startswith(self.name)}
+                 for m in self.diagnostics.messages]
+        self.assertEqual(set.union(*names), {f'{self.name}: {link} link' for link in LINKS})
 
 
 class NoPort(PortsTest):

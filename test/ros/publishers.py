@@ -1,5 +1,5 @@
-"""Publishers that do what rospy's cannot: latch any message, have two connections under one name,
-stop and reconnect. They use ROS's protocols with the master and the subscribers."""
+"""Publishers that do what rospy's cannot: latch any message, and have connections of one name.
+They use ROS's protocols with the master and the subscribers."""
 import io
 import socket
 import struct
@@ -18,10 +18,9 @@ class FakePublisher:
         name: of its node.
         latching: whether its header says that it latches.
         latched: the first message on each connection.
-        register: whether to register it at the master at once.
     """
 
-    def __init__(self, name, topic, message_class, latching=False, latched=None, register=True):
+    def __init__(self, name, topic, message_class, latching=False, latched=None):
         self.connections = []       # the oldest first
         self._name, self._topic, self._class = name, topic, message_class
         self._latched = latched
@@ -36,33 +35,16 @@ class FakePublisher:
             threading.Thread(target=serve, name=name, daemon=True).start()
         self._uri = 'http://localhost:%d' % self._node.server_address[1]
         self._master = rosgraph.Master(name)
-        if register:
-            self.register()
-
-    def register(self):
-        """Register it at the master, which informs the subscribers."""
         self._master.registerPublisher(self._topic, self._class._type, self._uri)
 
-    def connected(self, number=1):
-        """Wait for that many connections, and return self."""
-        until(lambda: len(self.connections) >= number, '%s is connected' % self._name)
+    def connected(self):
+        """Wait for a connection, and return self."""
+        until(lambda: self.connections, '%s is connected' % self._name)
         return self
 
-    def say(self, message, connection=-1):
-        """Send a message on one of its connections; wait for the first one."""
-        self.connected().connections[connection].sendall(_packed(message))
-
-    def reconnect(self):
-        """Close the newest connection, and wait for another one."""
-        number = len(self.connections)
-        self.connections[-1].close()
-        until(lambda: self._register_again(number), '%s is connected again' % self._name, every=0.2)
-
-    def _register_again(self, number):
-        if len(self.connections) == number:
-            self._master.unregisterPublisher(self._topic, self._uri)
-            self.register()
-        return len(self.connections) > number
+    def say(self, message):
+        """Send a message on its newest connection; wait for the first one."""
+        self.connected().connections[-1].sendall(_packed(message))
 
     def close(self):
         """Unregister it and close its connections."""

@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-"""Starting a bridge while one of its name is running; --help, wrong arguments, no master."""
+"""Starting a bridge while one of its name is running, or with no master. fleet_test has bridges of
+one name in different namespaces."""
 import os
 import shutil
 import signal
@@ -14,6 +15,7 @@ import rostest
 
 from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, program, until
 from heartbeats import HeartbeatWatch
+from serial_communication.ros import starting
 
 NAME = '/' + PACKAGE
 ELSEWHERE = os.path.join(os.path.dirname(os.path.abspath(__file__)), 'node_elsewhere.py')
@@ -85,12 +87,18 @@ class WhileOneRuns(unittest.TestCase):
         self.assert_unharmed()
 
     def test_under_roslaunch_it_prints_why_once_and_takes_over_when_the_first_ends(self):
-        second = self.start('__log:=' + os.path.join(self.folder, 'second.log'))
+        log = '__log:=' + os.path.join(self.folder, 'log', 'second.log')
+        ended = self.start(log)
+        ended.wait_for('is already running')
+        _seconds, status = ended.end()          # while it waits for the name
+        self.assertEqual(status, 0)
+        self.assertNotIn('Traceback', ended.output())
+        second = self.start(log)
         second.wait_for('is already running')
-        self.car.wait_for_heartbeats(300)       # three seconds
+        self.car.wait_for_heartbeats(150)       # it looks once a second
+        self.assert_unharmed()
         self.assertTrue(second.alive, second.output())
         self.assertEqual(len(lines_of(second.output())), 1, second.output())
-        self.assert_unharmed()
         self.bridge.end()
         self.car.forget()
         self.car.wait_for_heartbeats(10)
@@ -98,49 +106,18 @@ class WhileOneRuns(unittest.TestCase):
         _seconds, status = second.end()
         self.assertEqual(status, 0)
 
-    def test_ctrl_c_ends_a_bridge_that_waits_for_the_name(self):
-        second = self.start('__log:=' + os.path.join(self.folder, 'second.log'))
-        second.wait_for('is already running')
-        _seconds, status = second.end(signal.SIGINT)
-        self.assertEqual(status, 0)
-        self.assertNotIn('Traceback', second.output())
-        self.assert_unharmed()
-
-    def test_another_name_or_namespace_is_another_node(self):
-        for arguments, name in ((['__name:=other'], '/other'), (['__ns:=/robot'], '/robot' + NAME)):
-            other = subprocess.Popen([program('serial_communication_node'), *arguments],
-                                     stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-            try:
-                def there(name=name):
-                    try:
-                        return self.master.lookupNode(name)
-                    except rosgraph.MasterError:
-                        return ''
-                until(there, f'{name} is registered')
-                again = subprocess.run([program('serial_communication_node'), *arguments],
-                                       stderr=subprocess.PIPE, text=True, timeout=PATIENCE)
-                self.assertEqual(again.returncode, TAKEN)
-                self.assertIn(f'{name} is already running', again.stderr)
-            finally:
-                other.send_signal(signal.SIGINT)
-                other.wait(PATIENCE)
-        self.assert_unharmed()
-
     def test_a_killed_or_suspended_bridge_does_not_prevent_a_start(self):
         for number in signal.SIGKILL, signal.SIGSTOP:
-            with self.subTest(number):
-                old = self.bridge
-                old.process.send_signal(number)
-                if number == signal.SIGKILL:
-                    old.process.wait(10)
-                self.bridge = self.start()
-                until(lambda: self.master.lookupNode(NAME) != self.address,
-                      'the new one has the name')
-                self.address = self.master.lookupNode(NAME)
-                old.process.kill()
+            old = self.bridge
+            old.process.send_signal(number)
+            if number == signal.SIGKILL:
                 old.process.wait(10)
-                self.heartbeats = HeartbeatWatch(self.car, self.bridge.process.pid)
-                self.car.wait_for_heartbeats(10)
+            self.bridge = self.start()
+            until(lambda: self.master.lookupNode(NAME) != self.address, 'the new one has the name')
+            self.address = self.master.lookupNode(NAME)
+            old.kill()
+            self.car.forget()
+            self.car.wait_for_heartbeats(10)
 
     def test_another_node_at_a_dead_bridges_address_does_not_prevent_a_start(self):
         mine = rospy.get_node_uri()
@@ -148,22 +125,6 @@ class WhileOneRuns(unittest.TestCase):
         ghost = Bridge('ghost')
         self.started.append(ghost)
         until(lambda: self.master.lookupNode('/ghost') != mine, 'the new one has the name')
-
-    def test_help_and_wrong_arguments_touch_neither_ros_nor_a_port(self):
-        for arguments, status in ((['--help'], 0), (['-h'], 0), (['--wrong'], 2),
-                                  (['/dev/ttyS0'], 2), ([':=x'], 2), (['bus'], 2)):
-            with self.subTest(arguments):
-                done = subprocess.run([program('serial_communication_node'), *arguments],
-                                      stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                                      timeout=2 * PATIENCE)
-                self.assertEqual(done.returncode, status)
-                said, silent = (done.stderr, done.stdout) if status else (done.stdout,
-                                                                          done.stderr)
-                self.assertIn('usage: serial_communication_node ', said)
-                self.assertEqual(silent, '')
-                if status:
-                    self.assertIn(repr(arguments[0]), lines_of(said)[0])
-        self.assert_unharmed()
 
 
 class _Impatient(Transport):
@@ -188,10 +149,11 @@ class SimultaneousStart(unittest.TestCase):
             bridge.kill()
         shutil.rmtree(self.folder)
 
-    def start(self, host='', meets=True, arguments=()):
-        """Start a bridge on a host; with `meets`, it waits once it has found the name free."""
-        settings = ['HOST=' + host] + ['MEETING=' + self.folder] * meets
-        self.pair.append(Bridge('twin', {'bus/port': os.path.join(self.folder, 'bus')}, arguments,
+    def start(self, host='', meets=True, waits=starting._LOCK_PATIENCE):
+        """Start a bridge on a host; with `meets`, it waits once it has found the name free. It
+        waits for the lock for that many s."""
+        settings = [f'HOST={host}', f'WAITS={waits}'] + ['MEETING=' + self.folder] * meets
+        self.pair.append(Bridge('twin', {'bus/port': os.path.join(self.folder, 'bus')},
                                 before=['env', *settings, ELSEWHERE]))
         return self.pair[-1]
 
@@ -247,36 +209,32 @@ class SimultaneousStart(unittest.TestCase):
 
     def test_exactly_one_survives_whatever_the_delay_between_the_starts(self):
         for hosts in ('', ''), ('one', 'two'):
-            for turn in range(2):
-                with self.subTest(hosts=hosts, turn=turn):
-                    self.pair = []
-                    for host in hosts:
-                        self.start(host, meets=False)
-                    self.assert_one_lives()
+            self.pair = []
+            for host in hosts:
+                self.start(host, meets=False)
+            self.assert_one_lives()
 
     def test_a_bridge_that_hangs_at_its_start_delays_another_by_10_s_at_most(self):
+        self.assertEqual(starting._LOCK_PATIENCE, 10.0)      # s; here it is shorter
         hangs = self.start()
         until(lambda: self.have_met() == 1, 'the first one has found the name free')
-        second = self.start(meets=False)
+        second = self.start(meets=False, waits=2.0)
         until(lambda: self.owner() == second.process.pid, 'the second one has the name',
               2 * PATIENCE)
         self.assertTrue(hangs.alive)
 
-    def test_a_displaced_bridge_starts_again_if_the_name_is_free(self):
+    def test_a_displaced_bridge_starts_again_if_the_name_is_free_and_ctrl_c_ends_it(self):
         bridge = self.start(meets=False)
-        until(lambda: self.owner() == bridge.process.pid, 'it has the name')
-        rosgraph.Master('/twin').registerSubscriber('/any', 'std_msgs/Empty',
-                                                    'http://localhost:1/')
-        bridge.wait_for('another node has registered as /twin')
-        until(lambda: self.owner() == bridge.process.pid, 'it has the name again', 2 * PATIENCE)
 
-    def test_ctrl_c_ends_a_displaced_bridge(self):
-        bridge = Bridge('twin')
-        self.pair.append(bridge)
-        until(lambda: self.owner() == bridge.process.pid, 'it has the name')
-        rosgraph.Master('/twin').registerSubscriber('/any', 'std_msgs/Empty',
-                                                    'http://localhost:1/')
+        def displace():
+            until(lambda: self.owner() == bridge.process.pid, 'it has the name', 2 * PATIENCE)
+            rosgraph.Master('/twin').registerSubscriber('/any', 'std_msgs/Empty',
+                                                        'http://localhost:1/')
+        displace()
         bridge.wait_for('another node has registered as /twin')
+        displace()
+        until(lambda: bridge.output().count('another node has registered as /twin') == 2,
+              'it is displaced again')
         _seconds, status = bridge.end(signal.SIGINT)
         self.assertEqual(status, 0, bridge.output())
         self.assertNotIn('Traceback', bridge.output())
@@ -296,10 +254,11 @@ class WithoutAMaster(unittest.TestCase):
         with socket.socket() as taken:          # bound, but not listening
             taken.bind(('127.0.0.1', 0))
             uri = f'http://127.0.0.1:{taken.getsockname()[1]}'
-            for number in signal.SIGINT, signal.SIGTERM:
-                process = subprocess.Popen(
-                    [program('serial_communication_node')], stderr=subprocess.PIPE, text=True,
-                    env=dict(os.environ, ROS_MASTER_URI=uri))
+            both = [(number, subprocess.Popen(
+                [program('serial_communication_node')], stderr=subprocess.PIPE, text=True,
+                env=dict(os.environ, ROS_MASTER_URI=uri)))
+                    for number in (signal.SIGINT, signal.SIGTERM)]
+            for number, process in both:
                 said = process.stderr.readline()
                 self.assertIn(f'waiting for the ROS master at {uri}', said)
                 self.assertIn('roscore', said)

@@ -1,7 +1,4 @@
-"""--help, wrong arguments and an early Ctrl-C of every program.
-
-test/ros/same_name_test has those of a node while another one of its name runs.
-"""
+"""--help, wrong arguments and an early Ctrl-C of every program."""
 import os
 import shlex
 import shutil
@@ -15,6 +12,7 @@ import pytest
 SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
 PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir()
                   if os.access(str(path), os.X_OK))
+OF_ROS = 'monitor', 'other_program', 'panel', 'serial_communication_node'
 WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
     ('avr_board', ('bus', '--link')), ('avr_board', ('--elf',)), ('bench', ('--wrong',)),
@@ -24,9 +22,11 @@ WRONG = (
     ('panel', ('--wrong',)), ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')),
     ('ports', ('socket://x',)),
     ('serial_communication_node', ('--wrong',)),
-    ('serial_communication_node', ('/dev/ttyS0',)), ('simulator', ()),
+    ('serial_communication_node', ('/dev/ttyS0',)), ('serial_communication_node', (':=x',)),
+    ('serial_communication_node', ('bus',)), ('simulator', ()),
     ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
     ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')),
+    ('socat_pair', ('a', 'a')), ('socat_pair', ('a', 'b', 'c')), ('socat_pair', ('a,b', 'c')),
     ('wire', ()), ('wire', ('wheel',)), ('wire', ('listen', 'wheel')),
 )
 # What a script of a checkout says, before any set-up.
@@ -53,18 +53,22 @@ SAYS = (
     ('pictures', '--fast', 'unknown argument: --fast'))
 
 
-def run(name, *arguments):
+def run(name, *arguments, **environment):
     """Run a program without a master, in a folder that is not writable."""
     return subprocess.run([str(SCRIPTS / name), *arguments], text=True, timeout=60, cwd='/proc',
                           stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE,
-                          env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:9'})
+                          env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:9', **environment})
 
 
 @pytest.mark.parametrize('name', PROGRAMS)
 @pytest.mark.parametrize('option', ['-h', '--help'])
-def test_help_prints_the_usage(name, option):
-    done = run(name, option)
+def test_help_prints_the_usage(name, option, tmp_path):
+    """Also where another python3, as of pyenv or conda, is first on the path."""
+    (tmp_path / 'python3').write_text('#!/bin/sh\necho "the wrong python3 was run"\nexit 9\n')
+    (tmp_path / 'python3').chmod(0o755)
+    path = os.environ['PYTHONPATH'] if name in OF_ROS else ''
+    done = run(name, option, PATH=f'{tmp_path}:{os.environ["PATH"]}', PYTHONPATH=path)
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout.startswith('usage: ')
     assert name in done.stdout.split('\n', 1)[0]

@@ -63,7 +63,13 @@ def test_the_names_are_free_after_the_pair_has_ended(pair, tmp_path, number):
     first.send_signal(number)
     first.wait(PATIENCE)
     pair('a', 'b')
-    until(lambda: carries_if_there(tmp_path), 'a byte is transmitted')
+
+    def carries_if_there():
+        try:
+            return carries(tmp_path, 'a', 'b')
+        except OSError:
+            return False      # not linked yet, or the first pair's links
+    until(carries_if_there, 'a byte is transmitted')
 
 
 def test_a_folder_that_it_created_is_removed_when_the_last_pair_in_it_ends(pair, tmp_path):
@@ -85,13 +91,6 @@ def test_a_folder_that_was_there_stays(pair, tmp_path):
     first.terminate()
     first.wait(PATIENCE)
     assert sorted(path.name for path in tmp_path.iterdir()) == ['a.lock', 'b.lock']
-
-
-def carries_if_there(folder):
-    try:
-        return carries(folder, 'a', 'b')
-    except OSError:
-        return False      # not linked yet, or the first pair's links
 
 
 def test_a_path_that_is_not_a_link_is_not_changed(pair, tmp_path):
@@ -120,3 +119,10 @@ def test_a_planted_lock_file_is_not_opened(pair, tmp_path, plant):
     assert said == f'socat_pair: {lock} is a link or not a regular file, and may be another ' \
         'user\'s; remove it, or choose another path\n'
     assert victim.read_text() == 'mine' and not (tmp_path / 'new').exists()
+
+
+def test_without_socat_it_reports_what_to_install(tmp_path):
+    done = subprocess.run(['/bin/sh', str(SOCAT_PAIR), 'a', 'b'], stderr=subprocess.PIPE, text=True,
+                          env={'PATH': str(tmp_path)}, timeout=PATIENCE)
+    assert done.returncode == 1
+    assert done.stderr.startswith('socat_pair: socat is missing; install it')

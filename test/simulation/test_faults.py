@@ -350,6 +350,62 @@ def test_at_115200_baud_the_car_keeps_its_rate():
     assert kinds.count(arduino.Imu) >= 1000
 
 
+# -- the board's clock, and an adapter -----------------------------------------------------------
+
+
+def timed(bench):
+    """The messages but the times, each with when it was sent, and the board's time, as decoded."""
+    frames = bench.decoder.feed(bench.output())
+    assert not any(frame.cause for frame in frames)
+    times = [time for time, event, _ in bench.notes if event == 'tx']
+    assert len(times) == len(frames)
+    return [(frame.message, time, frame.ticks) for time, frame in zip(times, frames)
+            if not isinstance(frame.message, (arduino.Time, mcu.Time))]
+
+
+@pytest.mark.parametrize('make_one', [car, sensors])
+@pytest.mark.parametrize('ppm', [0, 5000, -300.5])
+def test_every_measurement_has_the_time_of_a_clock_that_drifts(make_one, ppm):
+    bench = make_one(f'drift={ppm}')
+    bench.run(2)
+    measured = [(time, ticks) for message, time, ticks in timed(bench)
+                if not isinstance(message, arduino.Log)]
+    assert len(measured) >= 40
+    assert [ticks for _, ticks in measured] == pytest.approx(
+        [(time - 1000.0) * (1e6 + ppm) for time, _ in measured], abs=1)
+
+
+@pytest.mark.parametrize('make_one', [car, sensors])
+def test_the_clock_begins_again_with_a_reset(make_one):
+    bench = make_one('drift=0', 'reset=6/min:1')
+    assert bench.run(60, until=lambda: len(bench.notes.of('boot')) == 2)
+    bench.output()
+    bench.decoder.reset()
+    bench.run(0.15)
+    first, *_ = [frame.ticks for frame in bench.decoder.feed(bench.output()) if frame.ticks]
+    assert first == pytest.approx(50_000 if make_one is sensors else 10_000, abs=1)
+
+
+@pytest.mark.parametrize('make_one', [car, sensors])
+def test_without_a_drift_no_board_sends_its_time(make_one):
+    bench = make_one('flip=0.01')
+    bench.run(3)
+    kinds = [type(message) for message in bench.messages()]
+    assert kinds and arduino.Time not in kinds and mcu.Time not in kinds
+
+
+@pytest.mark.parametrize('ms', [1, 16])
+def test_an_adapter_delivers_in_batches_what_was_on_the_line_before(ms):
+    bench, plain = (car(*texts, baud=115200) for texts in ([f'batch={ms}'], []))
+    for each in bench, plain:
+        each.run(2)
+    steps = [time * 1000 / ms for time, _ in bench.wire]
+    assert steps == pytest.approx(list(map(round, steps)), abs=1e-6)
+    delays = [after - before for (before, _), (after, _) in zip(plain.wire, bench.wire)]
+    assert 0 <= min(delays) and 0.8e-3 * ms < max(delays) < 1.001e-3 * ms
+    assert [data for _, data in bench.wire] == [data for _, data in plain.wire[:len(bench.wire)]]
+
+
 # -- parsing ------------------------------------------------------------------------------------
 
 
@@ -358,7 +414,7 @@ def test_all_is_a_mix_of_every_kind_that_the_board_can_have():
         rates = parse(['all'], board)
         assert len(rates) == len(board.FAULTS.split())
         if board.READS:     # the campaign's check of the car's values allows no repeated packet
-            assert set(rates) | {'repeat'} == set(KINDS)
+            assert set(rates) | {'repeat', 'drift', 'batch'} == set(KINDS)
     rates = parse(['all', 'reset=0', 'flip=0.5'], ControlBoard)
     assert 'reset' not in rates and rates['flip'].probability == 0.5
 
@@ -367,6 +423,7 @@ def test_all_is_a_mix_of_every_kind_that_the_board_can_have():
     ('flip', 'KIND=RATE'), ('flip=', 'KIND=RATE'), ('flip=-1', 'KIND=RATE'),
     ('flip 0.1', 'KIND=RATE'), ('flip=nan', 'KIND=RATE'), ('flap=0.1', 'no fault'),
     ('flip=2', '0 to 1'), ('rx-flip=2', '0 to 1'), ('silence=0.1', '/min'),
+    ('batch=-1', 'KIND=RATE'), ('batch=1/min', 'ms'), ('batch=1001', '1000 ms'),
     ('flip=0.1:3', 'no duration'), ('delay=0.1:2-1', 'is empty')])
 def test_an_invalid_fault_is_refused_with_the_reason(text, says):
     with pytest.raises(ValueError, match=says):
@@ -385,6 +442,8 @@ def test_faults_for_every_board_are_left_out_where_a_board_cannot_have_them():
     assert for_every_board(text, ControlBoard) == text.split()
     assert for_every_board(text, SensorBoard) == ['flip=0.02', 'all']
     assert for_every_board('', SensorBoard) == []
+    assert for_every_board('drift=-20 batch=16', ControlBoard) == ['batch=16']
+    assert for_every_board('drift=-20 batch=16', ModelCar) == ['drift=-20', 'batch=16']
 
 
 def test_journal_fields_are_json():

@@ -75,6 +75,16 @@ def test_a_simulated_text_is_cut_to_its_place():
     assert simulated_values(custom.kind.LAYOUT, 5.0) == ('sim', 'simulated 5')
 
 
+@pytest.mark.parametrize('board, wire', [(ModelCar, arduino), (SensorBoard, mcu)])
+def test_a_row_with_a_time_has_that_of_the_boards_clock(board, wire):
+    row, = description(board.NAME).custom.read({'force': {
+        'type': 40, 'ros_type': 'a/B', 'layout': '<hI', 'fields': ['x', '@time']}})
+    bench = Bench(board(custom=[row]), wire.Decoder(messages=[row.kind]))
+    bench.run(1.05)
+    times = [message[1] for message in bench.messages(row.kind)]
+    assert times == pytest.approx([100_000 * number for number in range(1, 11)], abs=1)
+
+
 def asked(bench, request):
     """Send one request; return the reply."""
     bench.feed(bus.encode_request(bus.SYNC_REQUEST) + bus.encode_request(request))

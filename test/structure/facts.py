@@ -17,6 +17,7 @@ from serial_communication.boards import BOARDS, description, load
 from serial_communication.boards.bus import messages as bus
 from serial_communication.boards.bus import wire as bus_wire
 from serial_communication.boards.description import Description
+from serial_communication.framing.custom_messages import RESERVED
 from serial_communication.framing.layout import LayoutMessage
 from serial_communication.simulation.line import SimulatedLine
 
@@ -90,7 +91,8 @@ def _packets(root: Path) -> Iterator[str]:
             if type_ not in rows:
                 yield f'{_PAGE}: the type {type_} of the {name} is missing'
         free = re.search(r'kMessageTypes = (\d+)', _header(root, header))
-        if free and int(free.group(1)) != 1 + max(wire.BUILT_IN.keys() - {255}):
+        if free and int(free.group(1)) != 1 + max(
+                type_ for type_ in wire.BUILT_IN if type_ < RESERVED):
             yield f'firmware/protocol/src/{header}: kMessageTypes is {free.group(1)}, but not ' \
                 'the first free type'
 
@@ -99,7 +101,7 @@ def _defined_in(wire: Any) -> Set[Any]:
     """The message classes that a module defines."""
     return {each for name, each in vars(wire).items() if isinstance(each, type)
             and issubclass(each, LayoutMessage) and hasattr(each, 'TYPE')
-            and each.TYPE != 255 and name == each.__name__}
+            and each.TYPE < RESERVED and name == each.__name__}
 
 
 def _header(root: Path, name: str) -> str:

@@ -43,7 +43,8 @@ def busy(**options) -> Demo:
                 'heartbeats sent': '99999', 'heartbeat gap [ms]': '10.40',
                 'heartbeat max gap [ms]': '99.52'})),
             'mcu': LinkState(2, 'closed: no such file', dict(COUNTERS, **{
-                'frames lost': '6'}))}.items():
+                'frames lost': '6', 'read delay p50 [ms]': '8.31',
+                'read delay max [ms]': '16.40'}))}.items():
         state.bridge.set_link(name, link._replace(at=NOW))
     for calls in state.calls.values():
         calls.answered('up 20 mm', Verdict.DONE, '', 0.4)
@@ -138,6 +139,7 @@ def test_a_link_shows_its_status_and_counters():
     assert 'heartbeat gap 10.40 ms' in by_link['arduino'].text
     assert by_link['mcu'].style == 'bad'
     assert 'ERROR closed: no such file' in by_link['mcu'].text and 'lost 6' in by_link['mcu'].text
+    assert 'read delay 8.31 ms' in by_link['mcu'].text
 
 
 def test_bytes_dropped_as_stale_are_shown_unless_0():

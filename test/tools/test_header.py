@@ -96,6 +96,31 @@ def test_a_struct_has_the_raw_number_that_means_no_value(tmp_path):
     assert '65535 raw: no value' in made(path)
 
 
+@pytest.mark.parametrize('order', '<>')
+def test_a_struct_with_a_time_has_a_function_that_fills_it(tmp_path, order):
+    path = configuration(tmp_path, {'field': {
+        'type': 50, 'ros_type': 'sensor_msgs/MagneticField', 'layout': order + 'hI',
+        'fields': ['magnetic_field.x', '@time']}})
+    assert output(tmp_path, made(path), """
+        Field field = {};
+        field.magnetic_field_x = 5;
+        field.measured_at(4000000001u);
+        show(field);
+        printf("%u\\n", uint32_t(field.time));""") == [
+            struct.pack(order + 'hI', 5, 4000000001).hex(), '4000000001']
+    assert "time;  // microseconds of the board's clock" in made(path)
+
+
+def test_names_of_the_time_give_way_to_fields(tmp_path):
+    path = configuration(tmp_path, {'field': {
+        'type': 50, 'ros_type': 'a/B', 'layout': '<IBB', 'fields': ['@time', 'time', 'measured_at']}})
+    assert output(tmp_path, made(path), """
+        Field field = {};
+        field.measured_at_(7);
+        field.measured_at = 1;
+        show(field);""") == ['070000000001']
+
+
 def test_a_struct_reads_what_the_bridge_sends(tmp_path):
     kind, = [each.kind for each in arduino_messages({'grip': {
         'type': 48, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Vector3',

@@ -87,8 +87,8 @@ def test_parameters_make_the_topics_of_custom_messages():
                       'fields': ['data'], 'minimum': -5, 'maximum': 5.5},
             'pump': {'type': 21, 'ros_type': 'std_msgs/Float32', 'direction': 'to_board'}}},
         'mcu': {'port': '', 'messages': {'wind': {
-            'type': 3, 'ros_type': 'geometry_msgs/Vector3Stamped', 'layout': '<hhh',
-            'fields': ['vector.x', '', 'vector.y'], 'maximum': [1, 2, 3]}}},
+            'type': 3, 'ros_type': 'geometry_msgs/Vector3Stamped', 'layout': '<hhhI',
+            'fields': ['vector.x', '', 'vector.y', '@time']}}},
         'bus': {'port': '/dev/b', 'environment_period': 60.0, 'functions': {
             'grip': {'cmd2': 7, 'srv_type': 'std_srvs/Trigger'},
             'level': {'cmd2': 8, 'ros_type': 'std_msgs/UInt8', 'period': 5,

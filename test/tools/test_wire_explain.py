@@ -1,25 +1,23 @@
 """wire explain: the values of every vector, and damaged bytes."""
 import json
-import random
 import re
 import struct
 import subprocess
 import sys
 
-import by_definition
 import pytest
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing import cobs
 from serial_communication.framing.announcement import TYPE, chunks_of
 from serial_communication.framing.stream import UNKNOWN
-from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NotHex
 from serial_communication.tools.wire.recording import (Read, Recording, frames_of,
                                                        learned_from)
-from wire_lines import FAULTS, LINKS, PATIENCE, ROOT, Target, as_bag, settings, vectors
+from wire_lines import LINKS, PATIENCE, ROOT, as_bag, damaged_reads, settings, vectors
 
 PROGRAM = [sys.executable, ROOT + '/scripts/wire', 'explain']
 TO_ARDUINO = (4, 5, 6, 11, 12)      # message types that only a computer sends
@@ -108,29 +106,8 @@ def test_an_arduino_packet_is_explained_by_its_values(case):
 
 # -- damage ---------------------------------------------------------------------------------------
 
-AT = {'bus': (by_definition.request_at, by_definition.reply_at),
-      'mcu': (by_definition.mcu_at,), 'arduino': (by_definition.arduino_at,)}
-SIZES = {'mcu': {0x10: 10, 0x01: 12},
-         'arduino': {4: 2, 5: 2, 7: 2, 8: 1, 9: 22, 10: 4, 11: 0, 12: 0}}     # of data, by type
 SOURCES = {'bus': [case['frame'] for key in ('requests', 'replies') for case in BUS[key]],
            'mcu': [case['frame'] for case in MCU], 'arduino': [case['wire'] for case in ARDUINO]}
-
-
-def all_valid(link, data):
-    """Whether `data` is valid frames and nothing else, by the definition of the protocol."""
-    at, sizes = 0, SIZES.get(link, {})
-    while at < len(data):
-        if link == 'arduino' and data[at] == 0:
-            at += 1
-            continue
-        found = [frame for frame_at in AT[link] for frame in [frame_at(data, at)]
-                 if isinstance(frame, by_definition.Frame)
-                 and sizes.get(frame.type, len(frame.data)) == len(frame.data)
-                 and (link != 'arduino' or frame.type <= 12)]
-        if not found:
-            return False
-        at = found[0].end
-    return True
 
 
 def is_complete(data, found, link):
@@ -149,32 +126,16 @@ def is_complete(data, found, link):
 
 
 @pytest.mark.parametrize('link', LINKS)
-def test_thousands_of_damaged_frames_are_explained_with_all_their_bytes(link):
-    kinds = [kind.split('=')[0] + '=1' for kind in FAULTS]
-    faults = [Faults(parse([kind], Target), 7) for kind in kinds if not kind.startswith('drop')]
-    chance = random.Random(link)
-    with_errors = 0
-    for number in range(3400):
-        data = hexed(chance.choice(SOURCES[link]))
-        if number % 10 == 9:
-            data = bytes(chance.randrange(256) for _ in range(chance.randrange(1, 40)))
-        else:
-            data = chance.choice(faults).sent(data, 0.0).wire
-            if chance.random() < 0.2:
-                data = hexed(chance.choice(SOURCES[link])) + data
-        if not data.strip(b'\0' if link == 'arduino' else b''):
-            continue
+def test_a_damaged_stream_is_explained_with_all_its_bytes(link):
+    """For the parts of any bytes as one frame, see boards/test_explain."""
+    for seed in range(20):
+        data = b''.join(read.data for read in damaged_reads(link, seed, 40))
         found = explain.explain(data, settings(link))
-        assert is_complete(data, found, link), data.hex()
-        trouble = [each.trouble for each in found if each.trouble]
-        with_errors += bool(trouble)
-        if not all_valid(link, data):
-            assert trouble, data.hex()
-        elif link != 'arduino':    # there implausible values make a valid packet an invalid one
-            assert not any(each.frame.cause for each in found), (data.hex(), found)
+        assert is_complete(data, found, link)
+        invalid = [each for each in found if each.frame.cause]
+        assert invalid and all(each.trouble for each in invalid)
         for each in found:
             assert '\n' not in each.trouble and json.dumps(explain.as_dict(each), allow_nan=False)
-    assert with_errors > 1500
 
 
 @pytest.mark.parametrize('link', LINKS)
@@ -182,9 +143,7 @@ def test_an_incomplete_frame_is_explained_as_far_as_it_goes(link):
     for text in SOURCES[link]:
         data = hexed(text)
         for size in range(1, min(len(data), 40)):
-            found = explain.explain(data[:size], settings(link))
-            assert is_complete(data[:size], found, link)
-            assert any(each.trouble for each in found) or all_valid(link, data[:size])
+            assert is_complete(data[:size], explain.explain(data[:size], settings(link)), link)
     each = only('mcu', hexed('020c109c2f003a'))
     assert each.trouble == 'incomplete'
     assert [(part.name, part.data, part.error) for part in each.parts[4:6]] == [
@@ -270,6 +229,24 @@ def test_a_bag_has_messages_that_the_bridge_learned_later():
     assert bag.frames[0].frame.cause == UNKNOWN
     first, *_ = frames_of(bag, learned_from(bag, line))
     assert (first.frame.cause, first.frame.text) == ('', 'force data=0.01')
+
+
+@pytest.mark.parametrize('link, frame', [
+    ('arduino', arduino.encode(arduino.Time(123456, 16))), ('mcu', mcu.encode(mcu.Time(123456), 7)),
+    ('arduino', arduino.encode_raw(40, b'\x01\0\x40\xe2\x01\0'))])
+def test_the_time_of_a_board_is_explained(link, frame):
+    rows = {'messages': {'force': {'type': 40, 'ros_type': 'a/B', 'layout': '<hI',
+                                   'fields': ['x', '@time']}}}
+    one = only(link, frame, parameters=rows)
+    assert value_of(one, '@time') == 123456 and '@time=123456 us' in one.frame.text
+
+
+def test_a_bag_has_the_times_of_its_frames():
+    """TIME is one frame, what it is for another; a damaged one between them ends its reach."""
+    line, ticks = settings('arduino'), arduino.encode(arduino.Ticks(1))
+    wire = [arduino.encode(arduino.Time(5, 16)), ticks, ticks, arduino.encode_raw(8, b''), ticks]
+    bag = as_bag([Read(0.001 * at, False, frame) for at, frame in enumerate(wire)], line)
+    assert [each.frame.ticks for each in frames_of(bag, line)] == [5, 5, 5, None, None]
 
 
 def test_the_direction_can_be_set():

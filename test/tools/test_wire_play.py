@@ -1,9 +1,16 @@
 """What `wire play` sends: the bytes of a text file, and the whole frames of a bag."""
-import pytest
+import time
 
+import pytest
+from lines import Line
+from waiting import until
+
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.mcu.link import McuLink
 from serial_communication.framing.stream import CHECKSUM, FRAMING, OVERSIZE
-from serial_communication.tools.wire.play import pieces_of
+from serial_communication.tools.wire.play import PiecePlayer, pieces_of
 from serial_communication.tools.wire.recording import Read, Recording
+from serial_communication.transport.port import Port
 from wire_lines import LINKS, as_bag, damaged_reads, decoded, settings
 
 SEEDS = range(20)
@@ -33,3 +40,29 @@ def test_a_bag_plays_its_whole_frames_at_their_times(link):
         assert left_out == len(frames) - len(whole)
         damaged += left_out
     assert damaged > 5 * len(SEEDS)       # or the test would prove nothing
+
+
+def test_a_played_recording_has_the_stamps_of_its_own_board_time(tmp_path):
+    """The last frame was read 0.4 s late when it was recorded."""
+    reads = [Read(0.02 * at, False, mcu.encode(mcu.Time(20_000 * at), 2 * at)
+                  + mcu.encode(mcu.AdcStatus(at, 0, 0, 0, 0, 0), 2 * at + 1)) for at in range(80)]
+    reads[-1] = reads[-1]._replace(at=reads[-1].at + 0.4)
+    pieces, _ = pieces_of(Recording(0.0, {'mcu': reads}, []), settings('mcu'))
+    line, stamps, read_at = Line(tmp_path / 'near').plug(), {}, []
+    link = McuLink(Port(line.near), timeout=60.0, clock=time.monotonic,
+                   on_status=lambda message, seq, stamp: stamps.update({message.adc0: stamp}))
+    link.tap = lambda name, direction, frame: read_at.append(frame.stamp)
+    link.start()
+    until(lambda: link.port.is_open)
+    port = Port(line.far)
+    port.open()
+    player = PiecePlayer(port, pieces, -1.0)
+    player.start()
+    until(lambda: 79 in stamps)
+    player.stop()
+    link.stop()
+    link.join(10.0)
+    port.close()
+    line.unplug()
+    assert read_at[-1] - stamps[79] > 0.3
+    assert stamps[79] - stamps[78] < 0.1

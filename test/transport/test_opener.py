@@ -1,10 +1,12 @@
 """An opener, and a real tty that disappears and returns."""
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from fake_boards import until
+from serial_communication.transport import opener as opener_module
 from serial_communication.transport.opener import Opener
 from serial_communication.transport.port import Port
 
@@ -27,8 +29,15 @@ def test_a_port_that_exists_is_opened_without_a_failure(opener):
     assert opener.open(failures.append), 'it is open already'
 
 
-def test_an_absent_port_is_tried_with_growing_pauses_and_idle_is_called_meanwhile(opener, line):
-    failures, called = [], []
+def test_an_absent_port_is_tried_with_growing_pauses_and_idle_is_called_meanwhile(
+        opener, line, monkeypatch):
+    """The pauses have a limit: a port is opened within 1.5 s of its return, by the pause of 1 s."""
+    assert opener_module._BACK_OFF == (0.1, 1.0)
+    monkeypatch.setattr(opener_module, '_BACK_OFF', (0.02, 0.1))
+    failures, called, pauses = [], [], []
+    tries = opener._tries
+    opener._tries = SimpleNamespace(put=lambda pause: pauses.append(pause) or tries.put(pause),
+                                    get=tries.get)
 
     def idle(now):
         called.append(now)
@@ -36,14 +45,13 @@ def test_an_absent_port_is_tried_with_growing_pauses_and_idle_is_called_meanwhil
 
     def failed(trouble):
         failures.append(trouble)
-        if len(failures) == 3:
+        if len(failures) == 5:
             line.plug()
 
     line.unplug()
-    began = time.monotonic()
     assert opener.open(failed, idle) and opener.port.is_open
-    assert len(failures) == 3 and set(failures) == {'there is no such device; waiting for it'}
-    assert time.monotonic() - began >= 0.1 + 0.2 + 0.4, 'pauses that grow'
+    assert set(failures) == {'there is no such device; waiting for it'}
+    assert pauses == [0.0, 0.02, 0.04, 0.08, 0.1, 0.1]
     assert len(called) > 10 and called == sorted(called)
 
 
@@ -66,6 +74,12 @@ def test_end_makes_open_return_false_with_the_port_closed(opener, line):
     waiting.join()
     assert returned == [False] and not opener.port.is_open
     assert not opener.open(pytest.fail), 'it has ended'
+
+
+def test_end_makes_a_read_return(opener):
+    assert opener.open(pytest.fail)
+    opener.end()
+    assert opener.port.read(None) == b''
 
 
 def test_an_error_in_idle_leaves_no_result_that_is_taken_for_a_later_one(opener, line):

@@ -262,17 +262,14 @@ def test_ptmx_is_refused_and_makes_no_pseudo_terminal(tmp_path, refusal):
     assert set(os.listdir('/dev/pts')) == before
 
 
-@pytest.mark.parametrize('kind, name', [
-    (None, 'OpenTty'), ('LOOP://', 'OpenPort'), ('socket', 'OpenSocket'),
-    ('rfc2217', 'OpenRfc2217')])
-def test_an_open_port_is_of_its_kind(kind, name, line, free_server, rfc2217):
-    url = {None: line.path, 'rfc2217': rfc2217.url, 'socket': 'socket://127.0.0.1:%d'
-           % free_server.getsockname()[1]}.get(kind, kind)
-    port = Port(url)
+@pytest.mark.parametrize('major, byte_time', [(4, 1e-4), (188, 1e-4), (166, 0.0)])
+def test_the_wire_time_of_a_byte_is_known_of_a_uart_but_not_of_ttyacm(
+        major, byte_time, line, monkeypatch):
+    port = Port(line.path, 100_000)
+    monkeypatch.setattr('os.major', lambda device: major)
     port.open()
-    assert type(port._opened).__name__ == name
-    assert port.is_network == (kind in ('socket', 'rfc2217')) and port.is_pty == (kind is None)
     port.close()
+    assert port.byte_time == byte_time
 
 
 def test_a_closed_port_raises_on_read_and_write_and_can_be_opened_again(port):
@@ -295,11 +292,11 @@ def frame(number):
     return b'<%06d:' % number + bytes((65 + number % 26,)) * (number * 37 % 1500) + b'>'
 
 
-def fill(port, first=0):
+def fill(port):
     """Write frames until the port takes no more; return the numbers of those that it took."""
     taken = []
     deadline = time.monotonic() + PATIENCE
-    for number in range(first, first + 100000):
+    for number in range(100000):
         assert time.monotonic() < deadline
         try:
             port.write(frame(number))
@@ -307,27 +304,6 @@ def fill(port, first=0):
             return taken
         taken.append(number)
     raise AssertionError('the port takes everything')
-
-
-def test_a_partly_written_frame_is_completed_before_the_next(port, line):
-    taken = fill(port)
-    assert port._rest, 'the kernel took whole frames only; this test needs other sizes'
-    received = line.read(PATIENCE)
-    number = 200000
-    while number < 200020:
-        try:
-            port.write(frame(number))
-        except PortBusy:
-            received += line.read(PATIENCE)
-            continue
-        taken.append(number)
-        number += 1
-    reader = Reader(port)
-    expected = b''.join(map(frame, taken))
-    received += all_of(line.read, len(expected) - len(received))
-    reader.stop()
-    assert received == expected
-    assert port.bytes_sent == len(expected)
 
 
 def test_no_frame_is_taken_before_the_rest_of_the_last_one_is_sent(port, line, monkeypatch):
@@ -387,20 +363,13 @@ def test_discard_output_drops_the_rest_of_a_frame(port, line):
     assert line.read_all() == b'new'
 
 
-def test_a_full_port_neither_blocks_nor_sends_old_frames_when_it_is_opened_again(port, line):
+def test_a_full_port_sends_no_old_frames_when_it_is_opened_again(port, line):
     fill(port)
-    begun, refused = time.monotonic(), 0
-    while refused < 100:        # the kernel may still make room for a few more
-        try:
-            port.write(b'x' * 100)
-        except PortBusy:
-            refused += 1
     port.close()
-    assert time.monotonic() - begun < 2.0
     line.read_all()
     port.open()
     port.write(b'new')
-    assert line.read_all().endswith(b'new')
+    assert line.read_all() == b'new'
 
 
 # -- other kinds of port --------------------------------------------------------------------------
@@ -417,10 +386,10 @@ def free_server():
 
 @pytest.fixture
 def connect(free_server):
-    """A function that returns an open port, of this kind, and its peer's socket."""
+    """A function that returns an open port and its peer's socket."""
     with contextlib.ExitStack() as opened:
-        def connected(kind='socket'):
-            port = Port('%s://127.0.0.1:%d' % (kind, free_server.getsockname()[1]))
+        def connected():
+            port = Port('socket://127.0.0.1:%d' % free_server.getsockname()[1])
             port.open()
             opened.callback(port.close)
             peer = opened.enter_context(free_server.accept()[0])
@@ -484,11 +453,8 @@ def test_a_write_to_an_rfc2217_server_that_stops_reading_does_not_block(rfc2217,
     narrow(port)
     rfc2217.stop_reading()
     taken = fill(port)
-    begun = time.monotonic()
-    for _ in range(100):
-        with pytest.raises(PortBusy):
-            port.write(b'x' * 70000)
-    assert time.monotonic() - begun < 2.0
+    with pytest.raises(PortBusy):
+        port.write(b'x' * 70000)
     assert port.backlog() > 1.0
     rfc2217.go_on()
     reader = Reader(port, 1.0)
@@ -499,17 +465,17 @@ def test_a_write_to_an_rfc2217_server_that_stops_reading_does_not_block(rfc2217,
     port.close()
 
 
-@pytest.mark.parametrize('kind', ['socket', 'rfc2217', 'SOCKET', 'RFC2217'])
+@pytest.mark.parametrize('kind', ['socket', 'rfc2217'])
 def test_unsent_bytes_of_a_connection_that_is_given_up_are_never_sent(request, kind):
-    if kind.lower() == 'rfc2217':
+    if kind == 'rfc2217':
         server = request.getfixturevalue('rfc2217')
-        port = Port(server.url.replace('rfc2217', kind))
+        port = Port(server.url)
         port.open()
         server.stop_reading()
         peer = until(lambda: server.peer)
         peer.settimeout(PATIENCE)
     else:
-        port, peer = request.getfixturevalue('connect')(kind)
+        port, peer = request.getfixturevalue('connect')()
     fill(port)
     assert port.discard_output() is False, 'unsent bytes cannot be dropped'
     with pytest.raises(PortError):

@@ -88,29 +88,6 @@ def test_a_port_that_is_not_a_tty_has_no_settings():
 
 # -- the links ------------------------------------------------------------------------------------
 
-def test_after_stty_sane_values_are_received_unchanged_again(line, logger, running, lines):
-    got = []
-    link = running(ArduinoLink(Port(line.path), logger=logger,
-                               on_message=lambda message, stamp: got.append(message)))
-    board = running(CarBoard(line))
-    until(lambda: board.heartbeats() > 3)
-    stty(line.path, 'sane')
-    warning, = until(lambda: lines('another program changed the settings'))
-    assert line.path in warning and 'icanon' in warning and 'icrnl' in warning
-    board.forget()
-    del got[:]
-    # Values that a tty may treat as CR, LF, Ctrl-C, end of file, XON, XOFF, Ctrl-U and DEL.
-    sent = [arduino.Ticks(value) for value in (13, 10, 3, 4, 17, 19, 127, 21)] * 10
-    line.write(b''.join(map(arduino.encode, sent)))
-    until(lambda: len(got) >= len(sent))
-    assert got == sent
-    count = board.heartbeats()
-    until(lambda: board.heartbeats() > count + 20)
-    assert set(map(type, board.messages())) <= {arduino.Heartbeat, arduino.SpeedCommand}, \
-        'what the board sent is echoed to it'
-    assert link.connection.reconnects == 0
-
-
 def test_after_a_changed_baud_rate_speed_0_is_sent_first(line, logger, running, lines):
     link = running(ArduinoLink(Port(line.path), logger=logger))
     board = running(CarBoard(line))

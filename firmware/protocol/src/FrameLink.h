@@ -3,6 +3,7 @@
 // The port belongs to it: what Serial.print sends there is counted as errors. Print to another port.
 //
 //   FrameLink bridge(Serial);
+//   bridge.time(micros());         // when the next frame is measured: its stamp
 //   bridge.send(0x20, value);      // a packed struct
 //   bridge.update();               // in loop(), often, where the board announces its rows
 //

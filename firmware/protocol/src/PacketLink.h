@@ -5,6 +5,7 @@
 //   PacketLink bridge(Serial);
 //   bridge.on<Lamp>(33, handle_lamp);      // in setup(), after Serial.begin(115200)
 //   bridge.update();                       // in loop(), often
+//   bridge.time(micros());                 // when the next packets are measured: their stamps
 //   bridge.send(32, light);                // a packed struct
 //
 // See examples/Hello and examples/Car. (A variable named `link` does not compile where <unistd.h> is included,
@@ -32,7 +33,7 @@ class PacketLink : public PacketSender<StreamSink> {
 
   explicit PacketLink(Stream& port) : PacketSender<StreamSink>(StreamSink{&port}), port_(port), buffer_(port) {}
 
-  // Calls `handle` for each custom message of this type (13 … 254), whose data is a T. False where the type is
+  // Calls `handle` for each custom message of this type (13 … 252), whose data is a T. False where the type is
   // another one or has its function, or there are kMaxHandlers; update() then reports it to the bridge, once. It also
   // reports messages that have another size, at most one a type and second.
   template <class T>
@@ -140,7 +141,7 @@ class PacketLink : public PacketSender<StreamSink> {
       end = append(append(end, F(" bytes, its struct ")), most);
     } else if (link.refused_type_ && link.buffer_.has_room(kMaxWarning)) {
       link.refused_type_ = false;
-      end = append(end, F("on(): a type twice, not in 13 ... 254, or one too many"));
+      end = append(end, F("on(): a type twice, not in 13 ... 252, or one too many"));
     }
     if (end != text) link.send(wrong_size ? MessageType::Warn : MessageType::Error, text, end + 1 - text);
   }

@@ -31,13 +31,16 @@ enum class MessageType : uint8_t {
   Voltage = 10,         // from the board: float32, V, averaged over 3 s
   Heartbeat = 11,       // to the board: no data
   ImuCalibration = 12,  // to the board: no data
+  Time = 254,           // from the board: uint32, microseconds, and uint8: of how many packets that follow
   Announcement = 255,   // from the board: a chunk of its rows' text
 };
 
-const uint8_t kMessageTypes = 13;  // the first type of custom messages
+const uint8_t kMessageTypes = 13;     // the first type of custom messages
+const uint8_t kLastCustomType = 252;
+const uint8_t kMostTimedPackets = 16;
 
 constexpr bool is_custom_type(uint8_t type) {
-  return type >= kMessageTypes && type != static_cast<uint8_t>(MessageType::Announcement);
+  return type >= kMessageTypes && type <= kLastCustomType;
 }
 
 const uint8_t kImuDataSize = 22;
@@ -96,7 +99,7 @@ class PacketSender {
     return sink_(static_cast<const uint8_t*>(wire), length);
   }
 
-  // A custom message: any packed struct. False also where the type (13 … 254) is not that of a custom message.
+  // A custom message: any packed struct. False also where the type (13 … 252) is not that of a custom message.
   template <class T>
   bool send(uint8_t type, const T& value) {
     check_can_cross_the_wire<T>();
@@ -123,6 +126,23 @@ class PacketSender {
     uint8_t data[kImuDataSize];
     imu_to_bytes(imu, data);
     return send(MessageType::Imu, data, sizeof data);
+  }
+
+  // Tells when the next packets were measured: their topics have the stamp of that moment. Packets of log text and of
+  // announcements are not counted. Another time() ends the reach of this one. Does nothing with NO_BOARD_TIME.
+  //
+  // Args: microseconds, by micros(), read when the first of them is measured; how many packets, 1 … 16.
+  bool time(uint32_t microseconds, uint8_t packets = kMostTimedPackets) {
+#ifdef NO_BOARD_TIME
+    (void)microseconds;
+    (void)packets;
+    return true;
+#else
+    const uint8_t data[5] = {static_cast<uint8_t>(microseconds), static_cast<uint8_t>(microseconds >> 8),
+                             static_cast<uint8_t>(microseconds >> 16), static_cast<uint8_t>(microseconds >> 24),
+                             packets};
+    return send(MessageType::Time, data, sizeof data);
+#endif
   }
 
   bool send_voltage(float volts) {
@@ -201,7 +221,7 @@ class PacketDecoder {
 
   explicit PacketDecoder(uint32_t frame_timeout_ms = 50) : counters(), frame_timeout_ms_(frame_timeout_ms) {}
 
-  // Takes custom messages of this type (13 … 254), whose data is a T. False: it does so already, the type is
+  // Takes custom messages of this type (13 … 252), whose data is a T. False: it does so already, the type is
   // another one, or there are MaxCustom.
   template <class T>
   bool accept(uint8_t type) {

@@ -24,6 +24,8 @@ const uint8_t kEtx = 0x03;
 const uint8_t kTypeAdcStatus = 0x01;
 const uint8_t kTypeSensorStatus = 0x10;
 const uint16_t kRangeTimedOut = 0xFFFF;
+const uint8_t kTypeSetting = 0xFD;
+const uint8_t kTypeTime = 0xFE;
 const uint8_t kTypeAnnouncement = 0xFF;
 const int16_t kAngleUnknown = -32768;
 
@@ -47,7 +49,7 @@ class StxEtxSender {
 
   explicit StxEtxSender(Sink sink) : sink_(sink) {}
 
-  // A custom message: any packed struct. False: the type (any but 0x01, 0x10 and 0xFF) is not that of a custom message,
+  // A custom message: any packed struct. False: the type (any but 0x01, 0x10 and 0xFD … 0xFF) is not that of a custom message,
   // or not all of the frame was sent.
   template <class T>
   bool send(uint8_t type, const T& value) {
@@ -58,8 +60,22 @@ class StxEtxSender {
 
   // Likewise with a payload of any length. False also where it is too long.
   bool send(uint8_t type, const void* payload, size_t size) {
-    if (type == kTypeAdcStatus || type == kTypeSensorStatus || type == kTypeAnnouncement) return false;
+    if (type == kTypeAdcStatus || type == kTypeSensorStatus || type >= kTypeSetting) return false;
     return send_frame(type, payload, size);
+  }
+
+  // Tells when the next frame was measured: its topics have the stamp of that moment. Does nothing with NO_BOARD_TIME.
+  //
+  // Args: microseconds, by micros(), read when it is measured.
+  bool time(uint32_t microseconds) {
+#ifdef NO_BOARD_TIME
+    (void)microseconds;
+    return true;
+#else
+    const uint8_t payload[4] = {static_cast<uint8_t>(microseconds), static_cast<uint8_t>(microseconds >> 8),
+                                static_cast<uint8_t>(microseconds >> 16), static_cast<uint8_t>(microseconds >> 24)};
+    return send_frame(kTypeTime, payload, sizeof payload);
+#endif
   }
 
   bool send_sensor_status(const SensorStatus& status) {

@@ -1,7 +1,8 @@
 """The model car's Arduino Nano: COBS packets, and a heartbeat that keeps the motor running."""
 from typing import Any, List, Mapping
 
-from ...framing.custom_messages import FROM_BOARD, TO_BOARD, CustomMessage, read_messages
+from ...framing.custom_messages import (FROM_BOARD, RESERVED, TO_BOARD, CustomMessage,
+                                        read_messages)
 from ...framing.stream import Decoder
 from ..description import CustomRows, Description, Heartbeat, Service, Topic
 from . import wire
@@ -9,7 +10,7 @@ from . import wire
 
 def custom_messages(entries: Any, key: str = 'arduino/messages') -> List[CustomMessage]:
     """The custom messages in the parameter `key`; RowError for the first mistake in them."""
-    free = [type_ for type_ in range(256) if type_ not in wire.BUILT_IN]
+    free = [type_ for type_ in range(RESERVED) if type_ not in wire.BUILT_IN]
     return read_messages(entries, key, free, wire.MAX_PACKET - 1, (FROM_BOARD, TO_BOARD))
 
 
@@ -32,7 +33,9 @@ DESCRIPTION = Description(
               message=wire.SteeringAngle)),
     services=(Service('~calibrate_imu', 'std_srvs/Empty', 'calibrate the IMU', confirm=(
         'The car must not move for over five minutes. During that time it takes no commands and '
-        'sends no IMU data.')),),
+        'sends no IMU data.')),
+        Service('~arduino/reset', 'std_srvs/Trigger', 'reset the board', confirm=(
+            'The car stops, and its board starts anew.'))),
     other_names=('~speed', '~steering', '~led'),
     custom=CustomRows('messages', custom_messages, '~'),
     heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),

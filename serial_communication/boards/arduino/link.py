@@ -13,7 +13,7 @@ from .calibration import End
 from .heartbeat import HeartbeatThread
 from .output import CarOutput
 
-_LAST_STOP_TIME = 0.1    # s for the last SPEED 0 to leave the port before it is closed
+_HEARTBEAT_END = 0.1    # s for the heartbeat's thread to end
 _BOARD_LINES = 100, 10.0     # log lines of the board that are taken: in a burst, then per second
 
 
@@ -34,12 +34,12 @@ class ArduinoLink(Link):
 
     Args:
         on_message: called in the link's thread with the (message, stamp) of each message except
-            log messages and announcements.
+            log messages, announcements and TIME.
         on_log: called in the link's thread with the (severity 0 … 3, text) of each log message; if
             the board sends too many, some are dropped.
         on_calibrating: called with True when a calibration begins, with False when it ends.
         messages: classes of custom messages that the board sends.
-        link_arguments: frame_timeout, clock and logger, as for `Link`.
+        link_arguments: frame_timeout, clock, board_time and logger, as for `Link`.
     """
 
     STOPS_FIRST = True
@@ -57,6 +57,7 @@ class ArduinoLink(Link):
         self.heartbeat = HeartbeatThread(
             'arduino heartbeat', settings.heartbeat_rate, self.output.send_what_is_due,
             lambda text: self.output.warn('fault', text))
+        self.lending.let_go = self.output.let_go
         self._on_message = on_message
         self._on_log = on_log
         self._on_calibrating = on_calibrating
@@ -126,11 +127,8 @@ class ArduinoLink(Link):
 
     def stop(self) -> None:
         """Send SPEED 0, and nothing after it."""
-        self.heartbeat.stop(_LAST_STOP_TIME)
-        self.output.send_speed_0(is_last=True)
-        deadline = time.monotonic() + _LAST_STOP_TIME
-        while self.port.on_its_way() and time.monotonic() < deadline:
-            time.sleep(0.002)       # closing a port may drop its output
+        self.heartbeat.stop(_HEARTBEAT_END)
+        self.output.end()
         super().stop()
 
     # -- hooks --------------------------------------------------------------------------
@@ -157,7 +155,7 @@ class ArduinoLink(Link):
             self._log_received(message, now)
         elif isinstance(message, Chunk):
             self.announcement.add(message)
-        else:
+        elif not isinstance(message, wire.Time):
             if self.output.calibration and isinstance(message, wire.Imu):
                 self._end_calibration(self.output.calibration.imu_data(clock()))
             if self._on_message and not self.announcement.holds_back(message):

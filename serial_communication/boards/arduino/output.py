@@ -3,6 +3,7 @@
 Only this module, `motor` and `calibration` decide what may reach the motor, and when.
 """
 import threading
+import time
 import traceback
 from collections import deque
 from typing import Deque, Optional, Tuple
@@ -16,7 +17,9 @@ from .calibration import Calibration
 from .motor import Motor, Stop
 
 _MOST_BACKLOG = 0.05     # s of wire time that may wait in the kernel; more: the port is blocked
+_LAST_STOP_TIME = 0.1    # s for the last SPEED 0 to leave the port before it is closed
 _BACKLOG_PERIOD = 0.1    # s between two checks of the backlog
+_CALIBRATES = 'the board calibrates its IMU, which takes minutes'
 _SPEED_0 = wire.SpeedCommand(0)
 _HEARTBEAT = wire.Heartbeat()
 _HEARTBEAT_PACKET = wire.encode(_HEARTBEAT)
@@ -75,7 +78,7 @@ class CarOutput:
         if message.ANNOUNCED:     # with the lock held, which `closed` takes before a next opening
             link.announcement.refuse_unless_current(f'{message}')
         if self.calibration:
-            return 'the board calibrates its IMU, which takes minutes', 'calibrating'
+            return _CALIBRATES, 'calibrating'
         # A call counts as from a stall sooner than a topic's command, as on the bus.
         if self.motor.ignores_commands(now) or (
                 calibrates and link.connection.may_be_from_a_stall()):
@@ -120,22 +123,36 @@ class CarOutput:
                 pass                    # the link's thread gets it, too, and handles it
             return False
 
-    def send_speed_0(self, is_last: bool = False) -> None:
+    def send_speed_0(self) -> None:
         """Send SPEED 0 if the port takes it; without heartbeats the board stops its motor anyway.
-
-        Args:
-            is_last: send nothing after it; the heartbeat thread may outlive the wait for it.
         """
         with self.lock:
-            self._has_ended = self._has_ended or is_last
-            try:
-                if is_last:
-                    self._drop_backlog_if_blocked()
-                self._send(_SPEED_0, clock())
-            except (PortBusy, PortError):
-                pass
-            except Exception:  # pylint: disable=broad-except
-                self.warn('fault', traceback.format_exc())
+            self._stop()
+
+    def end(self) -> None:
+        """Send SPEED 0, and nothing after it: the heartbeat thread may outlive the wait for it."""
+        with self.lock:
+            self._has_ended = True
+            self._drop_backlog_if_blocked()
+            self._stop()
+        self._let_it_leave()
+
+    def let_go(self, why: str) -> None:
+        """Send SPEED 0, and nothing after it until the port is opened again; Refused while the
+        board calibrates."""
+        with self.lock:
+            if self.calibration is not None:
+                raise Refused(f'not now: {_CALIBRATES}', 'calibrating')
+            self._drop_backlog_if_blocked()
+            self._stop()
+            self._port.give_up(why)
+        self._let_it_leave()
+
+    def _let_it_leave(self) -> None:
+        """Wait for the last SPEED 0 to leave the port: closing it may drop what has not."""
+        deadline = time.monotonic() + _LAST_STOP_TIME
+        while self._port.on_its_way() and time.monotonic() < deadline:
+            time.sleep(0.002)
 
     def hold(self, is_held: bool) -> None:
         """Refuse commands, or accept them again, and drop what waits."""
@@ -186,6 +203,14 @@ class CarOutput:
         if isinstance(message, wire.SpeedCommand):
             self.motor.sent(message.value, now)    # before anything that may raise
         self._link.written(packet, message.TYPE, 0, data, message)
+
+    def _stop(self) -> None:
+        try:
+            self._send(_SPEED_0, clock())
+        except (PortBusy, PortError):
+            pass
+        except Exception:  # pylint: disable=broad-except
+            self.warn('fault', traceback.format_exc())
 
     def _check_for_stall(self, now: float) -> None:
         # If the link's thread stalls, so do the threads that receive commands: all have the same

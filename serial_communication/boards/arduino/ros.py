@@ -17,7 +17,7 @@ from ...ros.commands import CommandTopic
 from ...ros.custom_topics import MessageTopics, message_rows, names_of
 from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import MOUNT, PORT, Parameter, baud, frame_id, seconds
+from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
@@ -35,6 +35,7 @@ class ArduinoInterface(Interface):
         'port': PORT,
         'baud': baud(DESCRIPTION),
         'reset_on_open': Parameter(False),
+        'reset_line': RESET_LINE._replace(default='dtr'),
         # At 34 Hz a heartbeat is sent every 29 ms; the board stops its motor after 30 ms without.
         'heartbeat_rate': Parameter(_DEFAULTS.heartbeat_rate, 34.0, 1000.0, unit='Hz'),
         'speed_timeout': seconds(_DEFAULTS.speed_timeout, 0.0, 3600.0),
@@ -44,6 +45,7 @@ class ArduinoInterface(Interface):
         'check_plausibility': Parameter(_DEFAULTS.check_plausibility),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
         'announcements': Parameter(True),
+        'board_time': Parameter(True),
         'gyro_scale': Parameter(wire.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
         'linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
         'angular_velocity_stdev': Parameter(radians(0.05), 0.0, 1e3, unit='rad/s'),
@@ -72,7 +74,8 @@ class ArduinoInterface(Interface):
             Port(p['port'], p['baud'], p['reset_on_open']),
             ArduinoSettings(**{name: p[name] for name in ArduinoSettings._fields}),
             messages=self._topics.custom_kinds, on_message=self._received, on_log=self._log,
-            on_calibrating=lambda on: self._calibrating.publish(on), **link_options._asdict())
+            on_calibrating=lambda on: self._calibrating.publish(on), board_time=p['board_time'],
+            **link_options._asdict())
         if p['announcements']:
             self.announced = self._topics.announced(self.link, self._command_age)
 

@@ -68,6 +68,7 @@ class ModelCar(Board):
               'delay=6/min late=0.5/min '
               'rx-drop=0.001 rx-lose=0.001 rx-flip=0.001 rx-insert=0.001 '
               'silence=0.5/min stall=0.5/min reset=0.5/min')
+    HAS_CLOCK = True
     MEASURES_PACE = True
     CHATTER = b'\x14\x10avrboot\r\n\xff\x1c\xe0'
     DELIMITER = b'\0'
@@ -181,9 +182,10 @@ class ModelCar(Board):
         if self._pace.passed(now):
             self._measure(now)
         if self._second.passed(now):
-            self._send(wire.Voltage(sum(self._volts) / len(self._volts)))
-        for message in self._custom.messages(now):
-            self._send(message)
+            self._send_measured(wire.Voltage(sum(self._volts) / len(self._volts)))
+        self._send_measured(*self._custom.messages(now, self.line.micros()))
+        for chunk in self._custom.chunks(now):
+            self._send(chunk)
         due = min(self._pace.due, self._custom.due() or math.inf)
         if self.motor_on:
             due = min(due, self._heartbeat + HEARTBEAT_TIMEOUT)
@@ -283,15 +285,15 @@ class ModelCar(Board):
     def _measure(self, now: float) -> None:
         gauss = self._random.gauss
         ticks = int(self.distance * TICKS_PER_METRE)
-        self._send(wire.Ticks(min(ticks - self._counted, 255)))
-        self._counted = ticks
         turned = (self.steering - SERVO_CENTRE) / (SERVO_MAX - SERVO_CENTRE)
-        self._send(wire.SteeringAngle(round(
-            FEEDBACK_CENTRE + FEEDBACK_SPAN * turned + min(max(gauss(0, 0.6), -2), 2))))
+        measured = [wire.Ticks(min(ticks - self._counted, 255)), wire.SteeringAngle(round(
+            FEEDBACK_CENTRE + FEEDBACK_SPAN * turned + min(max(gauss(0, 0.6), -2), 2)))]
+        self._counted = ticks
         load = abs(self.command) / wire.SPEED_LIMIT
         self._volts.append(self._charge - SAG * load + gauss(0, 0.01))
         if not self.calibrating:
-            self._send(self._imu(now))
+            measured.append(self._imu(now))
+        self._send_measured(*measured)
 
     def _imu(self, now: float) -> wire.Imu:
         gauss = self._random.gauss
@@ -311,6 +313,13 @@ class ModelCar(Board):
 
     def _log(self, severity: int, text: str) -> None:
         self._send(wire.Log(severity, text))
+
+    def _send_measured(self, *messages: Any) -> None:
+        """Send messages that hold what is measured now."""
+        if messages and self.line.sends_time:
+            self._send(wire.Time(self.line.micros(), len(messages)))
+        for message in messages:
+            self._send(message)
 
     def _send(self, message: Any) -> None:
         self.send(wire.encode(message), message)

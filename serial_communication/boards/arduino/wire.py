@@ -14,7 +14,8 @@ from math import pi
 from typing import Any, Dict, Iterable, List, Tuple, Type
 
 from ...framing import announcement, cobs
-from ...framing.layout import Layout, LayoutMessage, Value, by_type, message_class, readable
+from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type, message_class,
+                               readable)
 from ...framing.parts import Part, Parts
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
                                invalid_frame)
@@ -40,6 +41,7 @@ class Log(namedtuple('Log', 'severity text')):
 
     __slots__ = ()
     TYPES = (0, 1, 2, 3)
+    TICKS_AT = None
     LABEL = 'log'
     LABELS = ('DEBUG', 'INFO', 'WARN', 'ERROR')
     LAYOUT = Layout('<s', [Value('text')])
@@ -198,10 +200,16 @@ class Imu(LayoutMessage, namedtuple(
             *self.orientation(), *self.linear_acceleration())
 
 
+Time = message_class(
+    'Time', 254, '<IB', [Value(BOARD_TIME, 'us'), Value('count', minimum=1, maximum=16)], 'time',
+    'TIME, board -> us: the board\'s time when it measured what the next `count` packets hold.')
+
 FROM_BOARD = (SteeringAngle, Ticks, Imu, Voltage)
 TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration)
 # A custom message has none of these types.
-BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, Log, announcement.Chunk)
+BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, Log, Time, announcement.Chunk)
+_SETTING = 253           # reserved
+_UNTIMED = (*Log.TYPES, _SETTING, announcement.TYPE)    # TIME does not count these packets
 
 
 def encode(message: Any) -> bytes:
@@ -272,21 +280,25 @@ class _Decoder:
         self._begun = b''
         self._dropping = False     # the packet is too long already: drop the rest of it
         self._stamp: Any = None    # of the read with the packet's latest byte
+        self._ticks = 0            # of the latest TIME
+        self._timed = 0            # how many of the next packets it is for
 
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
         """Decode bytes as they were read; return the packets that are now complete, invalid ones
         included."""
         frames: List[Frame] = []
         self.received += len(data)
-        packets = (self._begun + data).split(b'\0')
+        data = self._begun + data
+        packets, behind = data.split(b'\0'), len(data)
         self._begun = packets.pop()
         for packet in packets:
+            behind -= len(packet) + 1
             if self._dropping:
                 self._dropping = False
             elif len(packet) > _MAX_ENCODED:
                 self._oversize(packet, frames, stamp)
             elif packet:
-                frames.append(self._packet(packet, stamp))
+                frames.append(self._packet(packet, stamp, behind))
         self._stamp = stamp
         if len(self._begun) > _MAX_ENCODED or self._dropping:
             if not self._dropping:
@@ -307,7 +319,7 @@ class _Decoder:
     def _oversize(self, packet: bytes, frames: List[Frame], stamp: Any) -> None:
         frames.append(self._bad(packet, OVERSIZE, f'a packet of over {MAX_PACKET} bytes', stamp))
 
-    def _packet(self, encoded: bytes, stamp: Any) -> Frame:
+    def _packet(self, encoded: bytes, stamp: Any, behind: int) -> Frame:
         raw = encoded + b'\0'
         packet = cobs.decode_or_none(encoded)
         if packet is None:
@@ -329,11 +341,21 @@ class _Decoder:
         reason = type_ not in self._unchecked and message.implausible()
         if reason:
             return self._bad(raw, IMPLAUSIBLE, f'{kind.LABEL}: {reason}', stamp, type_, data)
-        return frame_of((raw, type_, 0, data, message, stamp, '', ''))
+        ticks = None
+        if kind is Time:
+            self._ticks, self._timed = message
+        elif self._timed and type_ not in _UNTIMED:
+            self._timed -= 1
+            ticks = self._ticks
+        if kind.TICKS_AT is not None:
+            ticks = message[kind.TICKS_AT]
+        return frame_of((raw, type_, 0, data, message, stamp, '', '', ticks, behind))
 
     def _bad(self, raw: bytes, cause: str, error: str, stamp: Any, type_: int = 0,
              data: bytes = b'') -> Frame:
         self.errors[cause] += cause != UNKNOWN or self.counts_unknown
+        if type_ != _SETTING:
+            self._timed = 0      # the packet may have been one of those that TIME counts
         return invalid_frame(raw, cause, error, stamp, type_, data)
 
     # -- for `wire explain` -----------------------------------------------------------------
@@ -377,7 +399,7 @@ class _Decoder:
 class Decoder(_Decoder):
     """Decodes what the board sends."""
 
-    _messages = by_type(*FROM_BOARD, Log, announcement.Chunk)
+    _messages = by_type(*FROM_BOARD, Log, Time, announcement.Chunk)
 
 
 class BoardDecoder(_Decoder):

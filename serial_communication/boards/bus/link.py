@@ -50,6 +50,7 @@ class BusLink(Link):
         self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log,
                              drop_output=self._drop_output, begun_anew=self._board_begun_anew,
                              still_announces=lambda: self.announcement.is_current)
+        self.lending.under_way = self.master.under_way
         self._on_environment = lambda outcome: on_environment and on_environment(
             wire.Environment.unpack(outcome.data), outcome.stamp)
         self.polls = Polls(lambda request, function, on_success: self.master.submit(

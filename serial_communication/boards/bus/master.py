@@ -62,6 +62,7 @@ class Master(Session):
         self.round_trips: Deque[float] = deque(maxlen=200)     # s; the latest
         self._drop_output = drop_output
         self._still_announces = still_announces
+        self._closed = 'the port is closed'     # and why, in words
 
     @property
     def outstanding_call(self) -> Optional[Call]:
@@ -71,6 +72,11 @@ class Master(Session):
 
     # -- events -------------------------------------------------------------------------
 
+    def under_way(self) -> str:
+        """What the board executes and must not be interrupted, for people; '': nothing."""
+        call = self.outstanding_call
+        return '' if call is None or call.function.repeatable else f'"{call.request}" is under way'
+
     def submit(self, call: Call) -> Call:
         """Queue a call, from any thread, and return it; `Call.wait` returns its outcome."""
         self._submitted.append(call)
@@ -79,6 +85,7 @@ class Master(Session):
     def disconnected(self, now: float, why: str) -> None:
         """The port is closed: every call returns."""
         self.state = SessionState.CLOSED
+        self._closed = f'the port is closed ({why})'
         exchange, self._exchange = self._exchange, NOTHING
         if isinstance(exchange, CallExchange):
             exchange.call.finish(Outcome(
@@ -279,7 +286,7 @@ class Master(Session):
             self.calls.add(call)
         if self.state is SessionState.CLOSED:
             for call in self.calls:
-                self.calls.abandon(call, 'the port is closed')
+                self.calls.abandon(call, self._closed)
 
     def _interrupt(self, call: Call, now: float) -> None:
         """Prepare to send this call at once."""

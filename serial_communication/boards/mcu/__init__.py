@@ -1,9 +1,9 @@
 """The ESP32 with two range sensors and an IMU, or with ADC channels."""
 from typing import Any, List, Mapping
 
-from ...framing.custom_messages import CustomMessage, read_messages
+from ...framing.custom_messages import RESERVED, CustomMessage, read_messages
 from ...framing.stream import Decoder
-from ..description import CustomRows, Description, Numbering, Topic
+from ..description import CustomRows, Description, Numbering, Service, Topic
 from . import wire
 
 _STATUS = 1.0     # s; the longest period: the status of a silent board is published once a second
@@ -11,7 +11,7 @@ _STATUS = 1.0     # s; the longest period: the status of a silent board is publi
 
 def custom_messages(entries: Any, key: str = 'mcu/messages') -> List[CustomMessage]:
     """The custom messages in the parameter `key`; RowError for the first mistake in them."""
-    free = [type_ for type_ in range(256) if type_ not in wire.BUILT_IN]
+    free = [type_ for type_ in range(RESERVED) if type_ not in wire.BUILT_IN]
     return read_messages(entries, key, free, wire.MAX_PAYLOAD)
 
 
@@ -29,5 +29,7 @@ DESCRIPTION = Description(
         Topic('mcu/imu', 'sensor_msgs/Imu', card=None),
         Topic('mcu/range_1', 'sensor_msgs/Range', card='Ranges'),
         Topic('mcu/range_2', 'sensor_msgs/Range', card='Ranges')),
+    services=(Service('~mcu/reset', 'std_srvs/Trigger', 'reset the board', confirm=(
+        'The board starts anew; its measurements are missing until then.')),),
     custom=CustomRows('messages', custom_messages, 'mcu/'),
     numbering=Numbering.SEQUENCE)

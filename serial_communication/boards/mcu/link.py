@@ -33,7 +33,7 @@ class McuLink(Link):
         on_silence: called once a second with (class, seq, age) for each class of message that the
             board has sent and no longer sends: the last seq, and the seconds since that message.
             The class is None, and the age counts from the start, until the board has sent one.
-        link_arguments: frame_timeout, clock and logger, as for `Link`.
+        link_arguments: frame_timeout, clock, board_time and logger, as for `Link`.
     """
 
     def __init__(self, port: Port, timeout: float = 1.0,
@@ -70,7 +70,8 @@ class McuLink(Link):
         self._last, self._last_at = frame, now
         if isinstance(message, Chunk):
             self.announcement.add(message)
-        elif message is not None:     # None: a valid frame of an unknown type
+        # None: a valid frame of an unknown type
+        elif message is not None and not isinstance(message, wire.Time):
             if self.silent:
                 self.silent = False
                 self._latest.pop(None, None)

@@ -14,7 +14,7 @@ from ...framing.rotation import quaternion
 from ...ros.custom_topics import MessageTopics, message_rows, names_of
 from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import MOUNT, PORT, Parameter, baud, frame_id, seconds
+from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, wire
@@ -31,11 +31,13 @@ class McuInterface(Interface):
     PARAMETERS = {
         'port': PORT,
         'baud': baud(DESCRIPTION),
+        'reset_line': RESET_LINE._replace(default='rts'),
         'timeout': seconds(1.0, 0.01, 3600.0),
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
         'announcements': Parameter(True),
+        'board_time': Parameter(True),
         'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
         'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
         'min_range': Parameter(0.03, 0.0, 65.0, unit='m'),
@@ -66,7 +68,7 @@ class McuInterface(Interface):
         self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
                             network_silence=p['network_silence'],
-                            messages=self._topics.custom_kinds,
+                            messages=self._topics.custom_kinds, board_time=p['board_time'],
                             **link_options._asdict())
         if p['announcements']:
             self.announced = self._topics.announced(self.link)

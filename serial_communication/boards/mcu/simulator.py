@@ -43,6 +43,7 @@ class SensorBoard(Board):
     FAULTS = ('drop=0.005 cut=0.005 lose=0.005 flip=0.01 insert=0.005 double=0.005 '
               'delay=6/min late=0.5/min silence=0.5/min reset=0.5/min')
     READS = False
+    HAS_CLOCK = True
     CHATTER = (b'ets Jun  8 2016 00:22:57\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13 '
                b'(SPI_FAST_FLASH_BOOT)\r\nconfigsip: 0, SPIWP:0xee\r\nload:0x3fff0030,len:1184\r\n'
                b'entry 0x400805f0\r\n')
@@ -83,10 +84,15 @@ class SensorBoard(Board):
         self._custom.power_on(now)
 
     def advance(self, now: float) -> Optional[float]:
+        measured = self._custom.messages(now, self.line.micros())
         if self._pace.passed(now):
-            self._send(self.channels(now) if self._adc else self.status(now))
-        for message in self._custom.messages(now):
+            measured.insert(0, self.channels(now) if self._adc else self.status(now))
+        for message in measured:
+            if self.line.sends_time:
+                self._send(wire.Time(self.line.micros()))
             self._send(message)
+        for chunk in self._custom.chunks(now):
+            self._send(chunk)
         return min(self._pace.due, self._custom.due() or math.inf)
 
     def _send(self, message: Any) -> None:

@@ -11,10 +11,11 @@ a frame, modulo 256. Little-endian. Only the board sends.
 import struct
 from collections import namedtuple
 from math import isnan, nan
-from typing import Dict, Iterable, List, Type, Union
+from typing import Dict, Iterable, List, Optional, Type, Union
 
 from ...framing.announcement import Chunk
-from ...framing.layout import Layout, LayoutMessage, Value, by_type, message_class
+from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type,
+                               message_class)
 from ...framing.parts import Part, Parts
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
@@ -105,10 +106,14 @@ AdcStatus = message_class(
     'AdcStatus', 0x01, '<6H', [Value(f'adc{channel}') for channel in range(6)], 'ADC status',
     'TYPE 0x01: six ADC channels, raw.')
 
+Time = message_class(
+    'Time', 0xFE, '<I', [Value(BOARD_TIME, 'us')], 'time',
+    'TYPE 0xFE: the board\'s time when it measured what the frame with the next SEQ holds.')
+
 FROM_BOARD = (SensorStatus, AdcStatus)
 MESSAGES = by_type(*FROM_BOARD)
-BUILT_IN = by_type(*FROM_BOARD, Chunk)      # a custom message has none of these types
-_LENS = {message.TYPE: MIN_LEN + message.LAYOUT.size for message in FROM_BOARD}
+BUILT_IN = by_type(*FROM_BOARD, Time, Chunk)      # a custom message has none of these types
+_LENS = {message.TYPE: MIN_LEN + message.LAYOUT.size for message in (*FROM_BOARD, Time)}
 
 
 def encode(message: LayoutMessage, seq: int) -> bytes:
@@ -135,6 +140,11 @@ class Decoder(StreamDecoder):
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
         self._messages: Dict[int, Type[LayoutMessage]] = {**BUILT_IN, **by_type(*messages)}
+
+    def _begin(self) -> None:
+        super()._begin()
+        self._ticks: Optional[int] = None    # of a TIME that was the latest frame
+        self._timed_seq = -1                 # the SEQ of the frame that it is for
 
     def add_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode custom messages of this class from now on; from any thread."""
@@ -202,4 +212,8 @@ class Decoder(StreamDecoder):
         reason = message.implausible()
         if reason:
             return Good(size, type_, seq, data, None, IMPLAUSIBLE, f'{kind.LABEL}: {reason}')
-        return Good(size, type_, seq, data, message)
+        ticks = self._ticks if seq == self._timed_seq else None
+        if kind.TICKS_AT is not None:
+            ticks = message[kind.TICKS_AT]
+        self._ticks, self._timed_seq = (ticks, (seq + 1) % 256) if kind is Time else (None, -1)
+        return Good(size, type_, seq, data, message, ticks=ticks)

@@ -9,7 +9,7 @@ import struct
 from typing import Any, Dict, Iterable, List, Set, Tuple
 
 from ...framing.announcement import write_announcement
-from ...framing.layout import FRACTIONS, Layout, Value
+from ...framing.layout import BOARD_TIME, FRACTIONS, Layout, Value
 
 _TYPES = {'b': 'int8_t', 'B': 'uint8_t', 'h': 'int16_t', 'H': 'uint16_t', 'i': 'int32_t',
           'I': 'uint32_t', 'l': 'int32_t', 'L': 'uint32_t', 'q': 'int64_t', 'Q': 'uint64_t',
@@ -170,8 +170,8 @@ def _members(layout: Layout, struct: str) -> Tuple[List[str], List[str]]:
 
 
 def _member(path: str) -> str:
-    """The name of a field: vector.x -> vector_x, position[2] -> position_2."""
-    return re.sub(r'\W+', '_', path.replace(']', '')) or 'left_out'
+    """The name of a field: vector.x -> vector_x, position[2] -> position_2, @time -> time."""
+    return re.sub(r'\W+', '_', path.strip('@').replace(']', '')) or 'left_out'
 
 
 def _declared(value: Value, name: str, order: str) -> str:
@@ -185,7 +185,9 @@ def _declared(value: Value, name: str, order: str) -> str:
 
 def _comment(value: Value) -> str:
     words = []
-    if value.code == 's':
+    if value.name == BOARD_TIME:
+        words.append("microseconds of the board's clock, when it is measured")
+    elif value.code == 's':
         words.append('text; it ends at its first 0x00')
     elif value.code in _WORDS:
         words.append(_WORDS[value.code])
@@ -205,7 +207,10 @@ def _comment(value: Value) -> str:
 
 def _constants(value: Value, field: str, names: _Names) -> List[str]:
     """Functions with a value's scale, offset, limits and "no value"; not constants, which need a
-    definition."""
+    definition. And the one that fills the board's time."""
+    if value.name == BOARD_TIME:
+        name = names.new('measured_at', 'measured_at_')
+        return [f'  void {name}(uint32_t microseconds) {{ {field} = microseconds; }}']
     given = (('scale', value.scale, 1), ('offset', value.offset, 0),
              ('minimum', value.minimum, -math.inf), ('maximum', value.maximum, math.inf))
     functions = [('float', what, f'{float(number)!r}f') for what, number, default in given

@@ -16,6 +16,7 @@ import rospy
 from ...output import end_with_output, prepare_output
 from ...ros.master import wait_for_master
 from ...ros.rospy_mends.shutdown import leave_ros
+from ..watch.calls import node_argument
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.state import BridgeState
 from ..watch.table import Heading, TextLine, plain
@@ -62,19 +63,11 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='monitor', description='The live table of a running bridge. It sends nothing. '
         'Ctrl-C ends it.')
-    parser.add_argument('--node', type=_node, metavar='NAME',
+    parser.add_argument('--node', type=node_argument, metavar='NAME',
                         help=f"the bridge's name ({NODE})")
     parser.add_argument('--once', action='store_true',
                         help='print one table and end; status 0 only if every link is OK')
     return parser.parse_args((rospy.myargv() if argv is None else [''] + argv)[1:])
-
-
-def _node(name: str) -> str:
-    """The full name of a node. A name without / is in this shell's ROS_NAMESPACE."""
-    if not rosgraph.names.is_legal_name(name) or name.startswith('~') or not name.strip('/'):
-        raise argparse.ArgumentTypeError(f'{name!r} is not a valid node name, such as {NODE}')
-    return rosgraph.names.resolve_name(name.rstrip('/'),
-                                       rosgraph.names.get_ros_namespace() + 'monitor')
 
 
 def _other_bridges() -> str:

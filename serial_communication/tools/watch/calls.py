@@ -1,4 +1,5 @@
 """Calls a service of the bridge, now or never."""
+import argparse
 import time
 from typing import Any, NamedTuple
 
@@ -8,8 +9,17 @@ import rospy
 from ...link.outcome import LOOK, Verdict
 from ...ros.answers import read_error, read_response
 from ...ros.rospy_mends.connections import connected_service
+from .topics import NODE
 
 MOST_WAIT = 2.0     # s for the master, and again for the bridge, to answer
+
+
+def node_argument(name: str) -> str:
+    """For argparse: a node's full name. A name without / is in this shell's ROS_NAMESPACE."""
+    if not rosgraph.names.is_legal_name(name) or name.startswith('~') or not name.strip('/'):
+        raise argparse.ArgumentTypeError(f'{name!r} is not a valid node name, such as {NODE}')
+    return rosgraph.names.resolve_name(name.rstrip('/'),
+                                       rosgraph.names.get_ros_namespace() + 'a_program')
 
 
 class Answer(NamedTuple):

@@ -20,6 +20,7 @@ _COUNTERS = (('stale', 'dropped {} stale bytes'), ('frames received', 'in {}'),
              ('frames sent', 'out {}'), ('timeouts', 'timeouts {}'),
              ('round trip p50 [ms]', 'round trip {} ms'),
              ('heartbeat gap [ms]', 'heartbeat gap {} ms'), ('frames lost', 'lost {}'),
+             ('read delay p50 [ms]', 'read delay {} ms'),
              ('reconnects', 'reconnects {}'))
 _ONLY_ABOVE_0 = ('stale', 'reconnects')     # keys that are shown only if not 0
 

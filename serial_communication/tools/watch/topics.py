@@ -11,6 +11,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 from ...boards import BOARDS, BoardError, description, descriptions
 from ...boards.config_file import board_packages, board_parameters
 from ...boards.description import ANNOUNCED, Description
+from ...framing.layout import BOARD_TIME
 
 NODE = '/serial_communication'           # the bridge's default name
 LINKS = BOARDS                           # in this order, before links of other packages
@@ -193,7 +194,7 @@ def row_topics(board: Description, parameters: Any) -> List[BridgeTopic]:
 
 def _fields(row: Any) -> Tuple[str, ...]:
     paths = row.get('fields') if isinstance(row, dict) else None
-    return tuple(str(path) for path in paths if path) if isinstance(paths, list) else ()
+    return tuple(str(path) for path in paths if path not in ('', BOARD_TIME)) if isinstance(paths, list) else ()
 
 
 # -- any message ---------------------------------------------------------------------------------

@@ -112,7 +112,6 @@ class PortReader:
     def stop(self) -> None:
         """Request the end; returns at once."""
         self._opener.end()
-        self._port.wake()
 
     def join(self) -> None:
         """Wait for the end after `stop`, for 1 s at most. The port is then closed."""

@@ -232,14 +232,13 @@ def frames_of(recording: Recording, line: Settings) -> List[RecordedFrame]:
 
 
 def _with_message(frame: Frame, decoder: Decoder) -> Frame:
-    """A frame of a bag with its message, which a bag does not hold.
+    """A frame of a bag with its message and the board's time, which a bag does not hold.
 
-    What was unknown to the bridge may be known by now.
+    What was unknown to the bridge may be known by now. `decoder` has had the frames before it.
     """
-    if frame.cause not in ('', UNKNOWN):
-        return frame
     again = decoder.feed(frame.raw)
-    decoder.reset()
-    if len(again) != 1:
+    if frame.cause not in ('', UNKNOWN) or len(again) != 1:
+        decoder.reset()
         return frame
-    return frame._replace(message=again[0].message, cause=again[0].cause, error=again[0].error)
+    return frame._replace(message=again[0].message, cause=again[0].cause, error=again[0].error,
+                          ticks=again[0].ticks)

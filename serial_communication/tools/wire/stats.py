@@ -3,7 +3,8 @@
 A recording is a bag of serial_msg (rosbag record /serial_msg), with every link in it, or a file of
 wire listen --raw or wire tap --raw. For each link and direction the output has the count, the rate
 and the gaps of each type, the errors by cause, and the share of the wire's capacity; for the bus
-also the round trips; for the arduino the gaps between heartbeats (one over 30 ms stops the motor).
+also the round trips; for the arduino the gaps between heartbeats (one over 30 ms stops the motor);
+for a board that sends its time the delay of the reads, from the measurement on, as far as it varies.
 For an unknown link in a bag, types are shown as numbers.
 
   wire stats drive.bag
@@ -14,6 +15,7 @@ from types import MappingProxyType
 from typing import Any, Callable, Dict, List, Mapping, Optional, Sequence, Tuple
 
 from ...boards.description import Description, Numbering
+from ...framing.board_time import MOST_DELAY, BoardClock
 from ...framing.stream import FRAMING, Bad, StreamDecoder
 from . import lines
 from .figures import percentile
@@ -132,6 +134,8 @@ def _direction(frames: Sequence[RecordedFrame], length: float, baud: int,
                name_of: Callable[[RecordedFrame], str], size: Optional[int]) -> Dict[str, Any]:
     errors: Dict[str, int] = {}
     by_type: Dict[str, List[float]] = {}
+    delays: Dict[str, List[float]] = {}
+    clock = BoardClock()
     if size is None:
         size = sum(len(each.frame.raw) for each in frames)
     share = size * _BITS_A_BYTE / baud / length
@@ -141,12 +145,16 @@ def _direction(frames: Sequence[RecordedFrame], length: float, baud: int,
             errors[frame.cause] = errors.get(frame.cause, 0) + 1
         else:
             by_type.setdefault(name_of(each), []).append(frame.stamp)
+            at = None if frame.ticks is None else clock.measured_at(frame.ticks, frame.stamp)
+            if at is not None and frame.stamp - at <= MOST_DELAY:
+                delays.setdefault(name_of(each), []).append(frame.stamp - at)
     return {
         'frames': len(frames), 'invalid': sum(errors.values()), 'errors': errors, 'bytes': size,
         # More than all of it: bytes had waited somewhere before they were recorded.
         'share of capacity': share if share <= _MOST_SHARE else None,
         'types': {name: dict({'count': len(stamps), 'per second': len(stamps) / length},
-                             **spread(gaps(stamps))) for name, stamps in sorted(by_type.items())}}
+                             **spread(gaps(stamps)),
+                             **spread(delays.get(name, ()), 'read delay')) for name, stamps in sorted(by_type.items())}}
 
 
 def _extra_figures(board: Description, frames: Sequence[RecordedFrame]) -> Dict[str, Any]:
@@ -225,13 +233,15 @@ def _render_direction(title: str, figures: Dict[str, Any], paint: Paint) -> List
             + (f'{share:.1%} of the wire, ' if share is not None else
                'more than the wire carries in this time (some had waited), ')
             + paint(f'{invalid} invalid', 'bad' if invalid else 'good')]
+    timed = any(each['read delay max'] is not None for each in figures['types'].values())
     if figures['types']:
         text.append(f'  {"type":28}{"count":>8}{"per s":>9}{"gap p50":>11}{"p99":>9}{"max":>9}'
-                    '  ms')
+                    + f'{"delay p50":>11}{"max":>9}' * timed + '  ms')
     for name, each in figures['types'].items():
         text.append(f'  {name:28}{each["count"]:8}{each["per second"]:9.2f}'
                     f'{_ms(each["gap p50"]):>11}{_ms(each["gap p99"]):>9}'
-                    f'{_ms(each["gap max"]):>9}')
+                    f'{_ms(each["gap max"]):>9}'
+                    + f'{_ms(each["read delay p50"]):>11}{_ms(each["read delay max"]):>9}' * timed)
     text += [f'  {paint("invalid: " + cause, "bad")}'.ljust(30) + f'{count:8}'
              for cause, count in sorted(figures['errors'].items())]
     return text

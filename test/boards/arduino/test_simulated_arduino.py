@@ -6,8 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulation_bench import Bench, running, until
 
-from serial_communication.boards.arduino.link import ArduinoLink
-from serial_communication.transport.port import Port
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.simulator import TICKS_PER_METRE, ModelCar
 
@@ -58,24 +56,6 @@ def test_lose_stops_loses_the_first_speed_0_of_each_stop():
         bench.feed(zero)
     assert [(fields['data'], fields['why']) for fields in bench.notes.of('rx-lost')] == [
         (zero.hex(), 'lose-stops')] * 2
-
-
-def test_rates_do_not_drift_when_it_is_woken_late():
-    bench = make()
-    start = bench.now
-    for step in range(4000):     # every 7.5 ms, so not when it is due
-        bench.now = start + step * 0.0075
-        bench.line.tick(bench.now)
-    assert 2995 <= counts(bench.messages())[arduino.Imu] <= 3000
-
-
-def test_no_burst_after_a_stall():
-    bench = make()
-    bench.run(1)
-    bench.messages()
-    bench.now += 5
-    bench.run(0.1001)
-    assert 10 <= counts(bench.messages())[arduino.Imu] <= 11
 
 
 def test_sends_a_log_message_when_it_is_ready():
@@ -168,14 +148,6 @@ def test_steering_is_fed_back():
     assert bench.board.steering == 2000
 
 
-def test_battery_sags_under_load():
-    bench = make()
-    drive(bench, 5)
-    rested = bench.messages(arduino.Voltage)[-1].value
-    drive(bench, 5, speed=1000)
-    assert 0.4 < rested - bench.messages(arduino.Voltage)[-1].value < 0.8
-
-
 def test_leds():
     bench = make()
     bench.feed(arduino.encode(arduino.LedCommand('left')))
@@ -224,61 +196,6 @@ def test_works_after_any_input(chunks):
     bench.run(0.5)
     drive(bench, 0.1, speed=100)
     assert bench.board.motor_on and bench.messages(arduino.Imu)
-
-
-# -- with the real link over a real tty ---------------------------------------------------------
-
-
-@pytest.fixture
-def car(cable):
-    board = ModelCar(calibration_time=3.0)
-    messages, calibrating = [], []
-    with running(board, cable.far) as notes:
-        link = ArduinoLink(Port(cable.near), on_message=lambda message, stamp: messages.append(
-            message), on_calibrating=calibrating.append)
-        link.board, link.notes, link.messages = board, notes, messages
-        link.calibrations = calibrating
-        link.start()
-        until(lambda: link.heartbeats_sent > 3 and messages, 'the car')
-        yield link
-        link.stop()
-        link.join(10.0)
-
-
-def test_link_drives_the_car(car):
-    def driven():
-        car.set_speed(300)      # repeated, as a driver does
-        return sum(message.value for message in list(car.messages)
-                   if isinstance(message, arduino.Ticks)) > 20
-
-    until(driven, 'ticks')
-    car.set_steering(1200)
-    until(lambda: car.board.steering == 1200, 'the servo')
-    car.set_led('brake')
-    until(lambda: car.board.led == 'brake', 'the LED')
-    car.set_speed(0)
-    until(lambda: not car.board.motor_on, 'the stop')
-
-
-def test_link_calibrates(car):
-    car.calibrate_imu()
-    until(lambda: car.calibrations == [True, False], 'the end of the calibration')
-    assert [fields['on'] for fields in car.notes.of('calibrate')] == [True, False]
-
-
-def test_motor_stops_at_an_unplug_and_heartbeats_alone_do_not_restart_it(car, cable):
-    def moves():
-        car.set_speed(500)
-        return car.board.motor_on
-
-    until(moves, 'the motor')
-    cable.unplug()
-    until(lambda: not car.board.motor_on, 'the stop')
-    cable.plug()
-    until(lambda: car.port.is_open, 'the link')
-    seen = len(car.messages)
-    until(lambda: len(car.messages) > seen + 30, 'data')
-    assert not car.board.motor_on
 
 
 def test_a_time_in_the_past_is_not_recorded_as_late(cable):

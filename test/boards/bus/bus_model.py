@@ -52,7 +52,6 @@ class Board:
         self.executed: List[bus.Request] = []
         self.latest = {}               # request -> whether it was executed the last time
         self.readings = 0
-        self.echoed = 0
         self._faults = iter(faults)
         self._echoes = echoes
         self.ok_data = ok_data
@@ -117,7 +116,6 @@ class Board:
         if not self._synchronised:
             return bus.Reply(bus.INVALID, b'\x10')
         if request.cmd1 == bus.ECHO:
-            self.echoed += self._echoes
             return bus.Reply(bus.ECHO, request.data) if self._echoes else None
         if failing:
             return bus.Reply(bus.ERROR, b'\2\x80')

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol_cases import (BOARD_BUS, BUS, BUS_CMD2, DecoderKind, check_case, check_rejected,
-                            decode, hexed, no_errors, vectors)
+                            decode, hexed, vectors)
 from serial_communication.boards.bus import DESCRIPTION, wire as bus
 from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.messages import by_number
@@ -15,11 +15,6 @@ from serial_communication.framing.custom_messages import RowError
 from serial_communication.framing.stream import CHECKSUM, FRAMING
 
 VECTORS = vectors('robot_ctrl_bus')
-
-contents = st.one_of(st.binary(max_size=12), st.binary(min_size=250, max_size=260),
-                     st.binary(min_size=1020, max_size=1024),
-                     st.sampled_from((b'\xa5', b'\x5a\xa5', b'\xa5\2\x55\x22\xd0')))
-byte = st.integers(0, 255)
 
 
 def by_name(cases):
@@ -103,21 +98,6 @@ def test_more_than_the_longest_data_is_not_encoded():
         assert '1025' in str(refusal.value) and '1024' in str(refusal.value)
 
 
-@pytest.mark.parametrize('kind, commands', [(BUS, b'\2'), (BOARD_BUS, b'\1\0')],
-                         ids=('reply', 'request'))
-@pytest.mark.parametrize('start, size', [
-    ('a5 ff', 255),          # a standard frame ends at 254
-    ('5a fe 00', 254),       # a long one begins at 255
-    ('5a 00 00', 0),
-    ('5a 01 04', 1025),      # longer than is accepted
-    ('5a ff ff', 2000),
-])
-def test_an_invalid_datelen_is_a_framing_error(kind, commands, start, size):
-    frames, errors = decode(kind, with_checksum(hexed(start) + commands + bytes(size)))
-    assert frames == []
-    assert errors[CHECKSUM] == 0 and errors[FRAMING] >= 1
-
-
 @pytest.mark.parametrize('start', ['a5 ff', '5a fe 00', '5a 01 04', '5a ff ff'])
 def test_an_invalid_datelen_is_detected_at_once_and_the_next_frame_found(start):
     decoder = bus.ReplyDecoder()
@@ -155,52 +135,11 @@ def test_a_reply_may_carry_cmd2():
     assert decode(BUS, wire)[0] == []
 
 
-@given(byte, byte, contents)
-def test_request_round_trip(cmd1, cmd2, data):
-    request = bus.Request(cmd1, cmd2, data)
-    frames, errors = decode(BOARD_BUS, bus.encode_request(request), end=False)
-    assert [frame.message for frame in frames[:1]] == [request] or (
-        # The one request whose first bytes are a whole environment request.
-        (cmd1, cmd2, data[:1]) == (0x55, 0x22, b'\xd0'))
-    assert errors == no_errors(BOARD_BUS)
-    str(request)
-
-
-@given(byte, contents, byte, st.booleans())
-def test_reply_round_trip(cmd1, data, cmd2, has_cmd2):
-    reply = bus.Reply(cmd1, data, cmd2 if has_cmd2 else 0)
-    wire = bus.encode_reply(reply, has_cmd2)
-    assert wire == with_checksum(wire[:-1])
-    frames, errors = decode(BUS_CMD2 if has_cmd2 else BUS, wire, end=False)
-    assert [frame.message for frame in frames] == [reply]
-    assert errors == no_errors(BUS)
-    str(reply)
-
-
-def test_the_board_takes_environment_requests_with_datelen_2_and_0():
-    expected = bus.ENVIRONMENT_REQUEST
-    for datelen in (2, 0):
-        wire = bus.encode_request(expected, datelen)
-        assert wire[1] == datelen and len(wire) == 5
-        # Between other requests, whose bytes must not be taken for its DATE.
-        stream = bus.encode_request(bus.lift(0, 7)) + wire * 2 + bus.encode_request(
-            bus.gimbal(1, 9)) + wire
-        frames, errors = decode(BOARD_BUS, stream, end=False)
-        assert [frame.message for frame in frames] == [
-            bus.lift(0, 7), expected, expected, bus.gimbal(1, 9), expected]
-        assert errors == no_errors(BOARD_BUS)
-
-
 def test_an_environment_request_is_decoded_without_waiting_for_more_bytes():
     decoder = bus.RequestDecoder()
     wire = bus.encode_request(bus.ENVIRONMENT_REQUEST)
     assert [decoder.feed(wire[at:at + 1]) for at in range(4)] == [[]] * 4
     assert [frame.message for frame in decoder.feed(wire[4:])] == [bus.ENVIRONMENT_REQUEST]
-
-
-def test_an_environment_request_with_a_wrong_checksum_is_invalid():
-    frames, errors = decode(BOARD_BUS, hexed('a5 02 55 22 d1 00 00'))
-    assert frames == [] and errors[CHECKSUM] == 1
 
 
 @pytest.mark.parametrize('cmd1', [bus.ERROR, bus.INVALID])

@@ -1,23 +1,21 @@
 """The bus link and a board, over a real tty."""
 import socket
-import threading
 import time
 
 import pytest
 
 from fake_boards import PATIENCE, BusBoard, until
 from lines import Pty
+from waiting import Waiter
 from serial_communication.link import link as link_module
 from serial_communication.link.connection import Connection, PortState
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.bus.polls import Poller
 from serial_communication.link.link import ERROR, OK, RX, TX, WARN
-from serial_communication.boards.bus.master import FENCE_SILENCE
 from serial_communication.boards.bus.session import Condition
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT
-from serial_communication.transport.port import Port, PortBusy, PortError
+from serial_communication.transport.port import Port, PortBusy
 from serial_communication.boards.bus import wire as bus
-from serial_communication.framing.layout import Layout
 
 SHORT = BusSettings(reply_timeout=0.15, motion_timeout=0.3, environment_period=0.0)
 PATIENT = BusSettings(reply_timeout=PATIENCE, motion_timeout=PATIENCE, environment_period=0.0)
@@ -55,15 +53,6 @@ def open_link(line, logger, running):
     return start
 
 
-def call_in_thread(function, *arguments):
-    """A list that has the outcome once the function has returned."""
-    outcomes = []
-    thread = threading.Thread(target=lambda: outcomes.append(function(*arguments)),
-                              name='caller', daemon=True)
-    thread.start()
-    return outcomes
-
-
 def test_every_function_has_an_outcome(board, open_link):
     link = open_link()
     assert link.lift(0, 100).success and link.gimbal(3, 45).success
@@ -88,16 +77,6 @@ def test_the_environment_is_polled_and_published(board, open_link):
     assert set(board.executed) == {bus.ENVIRONMENT_REQUEST}
 
 
-def test_a_poll_is_sent_once_a_period(board, open_link):
-    readings = []
-    link = open_link(PATIENT._replace(environment_period=60.0),
-                     on_environment=lambda reading, stamp: readings.append(reading))
-    until(lambda: readings)
-    for _ in range(5):
-        assert echo(link).success      # so the link has checked five times whether a poll is due
-    assert len(readings) == board.executed.count(bus.ENVIRONMENT_REQUEST) == 1
-
-
 def test_a_poller_skips_missed_periods():
     class Asked:
         outcome = 'answered'
@@ -114,21 +93,6 @@ def test_a_poller_skips_missed_periods():
     assert len(asked) == 6
 
 
-def test_each_poll_gets_its_own_reply(line, board, logger, running):
-    kept = {0x30: [], 0x31: []}
-    board.rule = lambda request: (
-        bus.encode_reply(bus.Reply(bus.OK, bytes((request.cmd2,)))) if is_move(request) else None)
-    # A reply that came while this machine stalled is dropped, and the poll has to be sent again.
-    link = BusLink(Port(line.path), PATIENT._replace(reply_timeout=1.0), logger=logger)
-    for cmd2 in kept:
-        link.polls.add(bus.Function('poll', cmd2, reply=Layout('<x', ()), repeatable=True), 0.01,
-                       kept[cmd2].append)
-    running(link)
-    until(lambda: all(len(outcomes) >= 3 for outcomes in kept.values()))
-    for cmd2, outcomes in kept.items():
-        assert {outcome.data for outcome in outcomes} == {bytes((cmd2,))}
-
-
 def test_settings_change_the_frames(line, running, logger):
     board = running(BusBoard(line, has_cmd2=True))
     link = running(BusLink(Port(line.path), PATIENT._replace(
@@ -142,23 +106,14 @@ def test_callers_in_many_threads_get_their_own_replies(board, open_link):
     board.rule = lambda request: (
         bus.encode_reply(bus.Reply(bus.OK, request.data[::-1])) if is_move(request) else None)
     link = open_link()
-    wrong = []
 
     def call(base):
-        for number in range(base, base + 20):
-            data = b'%d' % number
-            outcome = link.request(bus.Request(bus.FUNCTION, 0x30, data))
-            if not outcome.success or outcome.data != data[::-1]:
-                wrong.append((data, outcome))
+        return all(link.request(bus.Request(bus.FUNCTION, 0x30, b'%d' % number)).data
+                   == (b'%d' % number)[::-1] for number in range(base, base + 20))
 
-    callers = [threading.Thread(target=call, args=(base,), name='caller %d' % base)
-               for base in (1000, 2000, 3000)]
-    for caller in callers:
-        caller.start()
-    for caller in callers:
-        caller.join(PATIENCE)
-        assert not caller.is_alive()
-    assert wrong == [] and len(board.moves()) == len(set(board.moves())) == 60
+    callers = [Waiter(call, base) for base in (1000, 2000, 3000)]
+    assert all(caller.result() for caller in callers)
+    assert len(board.moves()) == len(set(board.moves())) == 60
 
 
 @pytest.mark.parametrize('request_, is_slow', [
@@ -173,75 +128,6 @@ def test_only_lift_and_gimbal_have_the_motion_timeout(board, open_link, request_
     assert outcome.message.startswith('no reply within %g s:' % (0.22 if is_slow else 0.11))
 
 
-def test_no_reply_is_a_timeout_and_the_move_is_not_sent_again(board, open_link):
-    board.rule = lambda request: b'' if is_move(request) else None
-    link = open_link(SHORT)
-    outcome = link.lift(0, 100)
-    assert outcome.status == TIMEOUT and 'not known' in outcome.message
-    until(lambda: link.master.in_step)
-    board.rule = lambda request: None
-    assert link.gimbal(0, 1).success
-    assert board.moves() == [LIFT, bus.gimbal(0, 1)]
-    assert dict(link.extra_values())['timeouts'] == 1
-
-
-def test_a_doubled_ok_does_not_hide_the_refusal_of_the_next_lift(board, open_link):
-    """The second OK is 5 ms late, so it arrives after the next lift is called."""
-    refused = bus.lift(0, 200)
-
-    def rule(request):
-        if request == LIFT:
-            board.line.write(OK_WIRE)
-            threading.Event().wait(0.005)
-            return OK_WIRE
-        if request == refused:
-            return bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80'))
-        return None
-
-    board.rule = rule
-    link = open_link()
-    for _ in range(20):
-        assert link.lift(0, 100).success
-        outcome = link.lift(0, 200)
-        assert (outcome.status, outcome.error_code) == (bus.ERROR, 0x8002)
-    assert board.moves() == [LIFT, refused] * 20
-
-
-def test_a_board_without_echo_gets_a_silence_before_a_move(board, open_link):
-    answered = []       # when the board began to answer
-
-    def rule(request):
-        answered.append(time.monotonic())
-        return b'' if request.cmd1 == bus.ECHO else None
-
-    board.rule = rule
-    link = open_link(SHORT._replace(motion_timeout=PATIENCE))
-    for _ in range(5):
-        assert link.call(bus.SYNC_FUNCTION, ()).success
-        before = answered[-1]
-        assert link.lift(0, 100).success
-        assert board.frames[-1].message == LIFT
-        assert board.frames[-1].stamp - before >= FENCE_SILENCE
-
-
-def test_a_reading_of_a_wrong_length_is_reported_at_once(board, open_link, lines):
-    """The timeouts are longer than this test may last."""
-    board.rule = lambda request: (
-        bus.encode_reply(bus.Reply(bus.OK, bytes(4))) if request == bus.ENVIRONMENT_REQUEST
-        else None)
-    readings = []
-    link = open_link(PATIENT._replace(environment_period=0.01, reply_timeout=60.0),
-                     on_environment=lambda reading, stamp: readings.append(reading))
-    outcome, reading = link.environment()
-    assert (outcome.success, outcome.status, reading) == (False, bus.OK, None)
-    assert '4 bytes' in outcome.message and '6 were expected' in outcome.message
-    for _ in range(10):
-        assert link.lift(0, 100).success
-    assert not readings and len(lines('6 were expected')) == 1
-    assert not lines('no reply')
-    assert link.error_count() >= 2 and dict(link.extra_values())['timeouts'] == 0
-
-
 def test_a_damaged_reply_is_reported_as_a_timeout_at_once(board, open_link):
     board.rule = lambda request: b'\xa5\0\2\0' if is_move(request) else None
     link = open_link()       # its timeouts are longer than this test may last
@@ -250,60 +136,6 @@ def test_a_damaged_reply_is_reported_as_a_timeout_at_once(board, open_link):
     assert board.moves() == [LIFT]
     until(lambda: link.master.in_step)
     assert dict(link.report(0).values)['checksum errors'] == 1
-
-
-@pytest.mark.parametrize('noise', [b'\x11\x22\x33', b'\xa5\xff', b'\x00' * 200])
-def test_a_reply_after_noise_during_a_motion_is_received(board, open_link, noise):
-    board.rule = lambda request: noise + OK_WIRE if is_move(request) else None
-    link = open_link()
-    assert link.lift(0, 100).success
-    assert board.moves() == [LIFT]
-    assert link.gimbal(0, 1).success
-    assert bus.ECHO in [request.cmd1 for request in board.requests()]
-
-
-def test_an_incomplete_frame_is_given_up(board, open_link):
-    """A false start whose length covers the reply delays it for `frame_timeout` at most."""
-    board.rule = lambda request: b'\xa5\xc8' + OK_WIRE if is_move(request) else None
-    link = open_link(frame_timeout=0.1)
-    assert link.lift(0, 100).success
-    assert link.decoder.errors['framing'] == 1
-
-
-def test_a_reply_in_two_pieces_within_frame_timeout_is_one_reply(board, open_link):
-    board.rule = lambda request: OK_WIRE[:2] if is_move(request) else None
-    link = open_link(frame_timeout=PATIENCE * 2)
-    outcomes = call_in_thread(link.lift, 0, 100)
-    until(board.moves)
-    until(lambda: link.decoder.pending)
-    board.line.write(OK_WIRE[2:])
-    assert until(lambda: outcomes)[0].success
-    assert not any(link.decoder.errors.values())
-
-
-def test_no_request_is_sent_while_a_reply_is_incomplete(board, open_link):
-    """The reply has no request, so an ECHO is sent before the next request."""
-    link = open_link(frame_timeout=PATIENCE * 2)
-    board.line.write(OK_WIRE[:2])
-    until(lambda: link.decoder.pending)
-    known = len(board.frames)
-    outcomes = call_in_thread(link.lift, 0, 100)
-    until(lambda: list(link.master.calls))
-    threading.Event().wait(0.1)
-    assert len(board.frames) == known and not outcomes
-    board.line.write(OK_WIRE[2:])
-    assert until(lambda: outcomes)[0].success
-    assert [request.cmd1 for request in board.requests()][known:] == [bus.ECHO, bus.FUNCTION]
-
-
-def test_a_reset_board_is_synchronised_again_and_the_move_executed_once(board, open_link):
-    link = open_link()
-    answers = [bus.encode_reply(bus.Reply(bus.INVALID, b'\x10'))]
-    board.rule = lambda request: answers.pop() if answers and is_move(request) else None
-    assert link.lift(0, 100).success
-    assert board.executed == [LIFT]
-    assert [request.cmd1 for request in board.requests()][-3:] == [
-        bus.SYNC, bus.ECHO, bus.FUNCTION]
 
 
 def test_invalid_arguments_are_refused_without_sending(board, open_link):
@@ -328,13 +160,13 @@ def test_a_closed_port_refuses_at_once(line, logger, running):
 def test_the_outcome_is_unknown_if_the_port_closes_during_a_motion(board, open_link):
     board.rule = lambda request: b'' if is_move(request) else None
     link = open_link()
-    moving = call_in_thread(link.lift, 0, 100)
+    moving = Waiter(link.lift, 0, 100)
     until(board.moves)
-    waiting = call_in_thread(link.gimbal, 0, 1)
+    waiting = Waiter(link.gimbal, 0, 1)
     until(lambda: list(link.master.calls))
     with board.unplugged():
-        assert until(lambda: moving)[0].status == TIMEOUT
-        assert until(lambda: waiting)[0].status == NOT_SENT
+        assert moving.result().status == TIMEOUT
+        assert waiting.result().status == NOT_SENT
         assert link.lift(0, 100).status == NOT_SENT
     board.rule = lambda request: None
     until(lambda: link.master.synchronised and link.master.in_step)
@@ -344,24 +176,14 @@ def test_the_outcome_is_unknown_if_the_port_closes_during_a_motion(board, open_l
     assert link.lift(0, 100).success
 
 
-def test_a_port_that_is_absent_at_start_is_waited_for(line, logger, running, lines):
-    line.unplug()
-    link = running(BusLink(Port(line.path), PATIENT, logger=logger))
-    until(lambda: lines('there is no such device'))
-    line.plug()
-    running(BusBoard(line))
-    until(lambda: link.master.synchronised)
-    assert link.lift(0, 100).success and link.connection.reconnects == 0
-
-
 def test_stopping_ends_waiting_calls(board, open_link):
     board.rule = lambda request: b'' if is_move(request) else None
     link = open_link()
-    moving = call_in_thread(link.lift, 0, 100)
+    moving = Waiter(link.lift, 0, 100)
     until(board.moves)
     link.stop()
     link.join()
-    assert until(lambda: moving)[0].status == TIMEOUT
+    assert moving.result().status == TIMEOUT
     assert not link.port.is_open
     assert link.lift(0, 1).status == NOT_SENT
 
@@ -371,9 +193,7 @@ def test_a_board_that_is_silent_is_reported(line, logger, running, lines, monkey
     link = running(BusLink(Port(line.path), SHORT, logger=logger))
     until(lambda: link.report(time.monotonic()).level == ERROR
           and link.report(time.monotonic()).summary == 'the board does not answer SYNC')
-    begun = time.monotonic()
     assert link.lift(0, 1).status == NOT_SENT
-    assert time.monotonic() - begun < SHORT.motion_timeout + PATIENCE / 2
     until(lambda: lines('does not answer SYNC'))      # later: the board may still be booting
     assert len(lines('does not answer SYNC')) == 1
 
@@ -396,24 +216,15 @@ def test_a_blocked_port_is_tried_again_only_after_a_pause(line, logger, running)
         tries = 0
 
         def write(self, frame):
-            if not self.is_open:
-                raise PortError('closed')
             self.tries += 1
             raise PortBusy('the port takes no data')
 
     port = Stuck(line.path)
-    link = running(BusLink(port, SHORT, logger=logger))
+    running(BusLink(port, SHORT, logger=logger))
     until(lambda: port.tries)
     before = port.tries
-    ended = threading.Event()
-    ended.wait(0.3)
-    tries = port.tries - before
-    link.stop()
-    link.join()
-    closed = not port.is_open
-    port.close()          # ends a thread that loops
-    assert tries < 100
-    assert closed, 'the link did not end within a second'
+    time.sleep(0.3)
+    assert port.tries - before < 100
 
 
 def test_the_tap_sees_every_frame_both_ways(board, open_link):
@@ -430,21 +241,6 @@ def test_the_tap_sees_every_frame_both_ways(board, open_link):
     assert tapped[0][2].raw == bus.encode_request(LIFT)
 
 
-def test_the_link_continues_after_a_fault_in_a_callback(board, open_link, lines):
-    broken = [True]
-
-    def on_environment(reading, stamp):
-        if broken:
-            broken.pop()
-            raise RuntimeError('a fault of the callback')
-
-    link = open_link(PATIENT._replace(environment_period=0.02), on_environment=on_environment)
-    until(lambda: not broken and link.connection.reconnects)
-    until(lambda: link.master.synchronised and link.master.in_step)
-    assert link.lift(0, 100).success
-    assert lines('a fault of the callback')
-
-
 # -- what a request waits for ---------------------------------------------------------------------
 
 STOP = bus.Request(bus.FUNCTION, 0x2F)
@@ -455,8 +251,10 @@ def test_a_stop_is_sent_while_an_incomplete_frame_is_received(line, board, open_
     link = open_link(frame_timeout=60.0)
     line.write(b'\xa5\xf0')
     until(lambda: link.decoder.begun)
-    call_in_thread(lambda: link.request(STOP, STOP_FUNCTION))
+    caller = Waiter(link.request, STOP, STOP_FUNCTION)
     until(lambda: STOP in board.requests())
+    link.stop()
+    caller.result()
 
 
 def test_a_stop_is_sent_while_bytes_are_received_without_a_pause(line, logger, monkeypatch):

@@ -1,7 +1,5 @@
 """The simulated main control board."""
-import contextlib
 import re
-import threading
 from pathlib import Path
 
 import pytest
@@ -12,7 +10,6 @@ from simulation_bench import Bench, running, until
 from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.link.connection import Connection
-from serial_communication.link.outcome import TIMEOUT
 from serial_communication.transport.port import Port
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.simulator import MEMORY, PAN_RANGE, TILT_RANGE, ControlBoard
@@ -23,12 +20,6 @@ LIFT_10 = bus.encode_request(bus.lift(0, 10))
 STOP = bus.Request(bus.FUNCTION, 0x2F)
 STOPS = read_functions({'stop': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True,
                                  'interrupts': True}})
-
-
-@pytest.fixture(autouse=True)
-def never_stalls(monkeypatch):
-    """No call is refused because this machine stalls; test/link/test_stall.py tests that."""
-    monkeypatch.setattr(Connection, 'may_be_from_a_stall', lambda self: False)
 
 
 def make(synchronised=True, **arguments):
@@ -146,7 +137,8 @@ def test_memory_function():
     assert bench.board.memory == b'abc'
 
 
-def test_replies_with_cmd2_or_data():
+def test_replies_with_cmd2_or_data_or_none_to_echo():
+    assert ask(make(echoes=False), bus.echo(b'1')) == []
     assert ask(make(ok_data=b'\1\2'), bus.lift(0, 1)) == [bus.Reply(bus.OK, b'\1\2')]
     assert ask(make(reply_has_cmd2=True), bus.lift(0, 1)) == [bus.Reply(bus.OK, b'', 0x20)]
 
@@ -155,16 +147,6 @@ def test_request_that_is_too_long_is_refused():
     bench = make(max_length=300)
     assert ask(bench, bus.echo(bytes(301))) == [bus.Reply(bus.INVALID, b'\x20')]
     assert ask(bench, bus.echo(bytes(300))) == [bus.Reply(bus.ECHO, bytes(300))]
-
-
-@pytest.mark.parametrize('start', ['5affff', '5a0104', '5a0004', 'a5fe'])
-def test_an_invalid_datelen_does_not_delay_a_request_for_long(start):
-    bench = make()
-    bench.feed(bytes.fromhex(start))
-    for _ in range(10):
-        bench.run(0.03)
-        bench.feed(bus.encode_request(bus.echo(b'hello')))
-    assert bench.messages()[:3] == [bus.Reply(bus.ECHO, b'hello')] * 3
 
 
 def test_damaged_request_gets_one_invalid_after_a_silence():
@@ -281,95 +263,23 @@ def test_a_request_changed_by_a_fault_is_not_genuine():
     assert all(('genuine' in fields) == (fields['raw'] != request.hex()) for fields in valid)
 
 
-# -- with the real Master over a real tty -------------------------------------------------------
+# -- with the real link over a real tty -------------------------------------------------------
 
-
-@pytest.fixture
-def master(cable):
-    board = ControlBoard(lift_speed=2000, gimbal_speed=2000)
+def test_a_link_moves_the_lift_before_and_after_an_unplug(cable, monkeypatch):
+    monkeypatch.setattr(Connection, 'may_be_from_a_stall', lambda self: False)
+    board = ControlBoard(lift_speed=2000)
     with running(board, cable.far) as notes:
         link = BusLink(Port(cable.near), BusSettings(environment_period=0.05))
-        link.board, link.notes = board, notes
         link.start()
-        until(lambda: link.master.synchronised, 'SYNC')
-        yield link
+        until(lambda: link.master.in_step, 'SYNC')
+        assert link.lift(0, 100).success and board.lift.at(1e9) == 600
+        cable.unplug()
+        until(lambda: not link.port.is_open, 'the loss')
+        cable.plug()
+        until(lambda: link.port.is_open and link.master.in_step, 'the return')
+        assert link.lift(1, 50).success and board.lift.at(1e9) == 550
         link.stop()
         link.join(10.0)
-
-
-def test_link_moves_the_lift_once(master):
-    assert master.lift(0, 100).success
-    assert master.board.lift.at(1e9) == 600
-    assert master.lift(1, 50).success
-    assert master.board.lift.at(1e9) == 550
-    lifts = [fields for fields in master.notes.of('executed') if fields['cmd2'] == bus.LIFT]
+        assert [fields['open'] for fields in notes.of('port')][-3:] == [True, False, True]
+    lifts = [fields for fields in notes.of('executed') if fields['cmd2'] == bus.LIFT]
     assert [fields['data'] for fields in lifts] == ['0064', '0132']
-
-
-def test_link_returns_refusals(master):
-    for _ in range(2):
-        assert master.lift(0, 250).success
-    outcome = master.lift(0, 1)
-    assert (outcome.status, outcome.error_code) == (bus.ERROR, bus.OPERATION_FAILED)
-    outcome = master.request(bus.Request(0x55, 0x77))
-    assert (outcome.status, outcome.error_code) == (bus.ERROR, bus.UNSUPPORTED)
-
-
-def test_link_turns_the_gimbal_and_reads_the_environment(master):
-    assert master.gimbal(1, 40).success and master.gimbal(2, 20).success
-    assert (master.board.pan.at(1e9), master.board.tilt.at(1e9)) == (-40, 20)
-    outcome, air = master.environment()
-    assert outcome.success and 50 < air.smoke < 250
-    assert master.call(bus.ECHO_FUNCTION, (b'mine',)).success
-
-
-@pytest.fixture
-def unusual_board(cable):
-    """A function that starts a board with the given arguments and a link to it."""
-    links, boards = [], contextlib.ExitStack()
-
-    def start(**arguments):
-        board = ControlBoard(**{'lift_speed': 2000, 'gimbal_speed': 2000, **arguments})
-        notes = boards.enter_context(running(board, cable.far))
-        links.append(BusLink(Port(cable.near), BusSettings(
-            reply_timeout=0.1, environment_period=0.0)))
-        links[0].start()
-        until(lambda: links[0].master.in_step, 'the board is found')
-        links[0].board, links[0].notes = board, notes
-        return links[0]
-
-    yield start
-    links[0].stop()
-    boards.close()
-
-
-def test_link_stops_the_lift(unusual_board):
-    link, outcomes = unusual_board(lift_speed=50, custom=STOPS), []
-    lift = threading.Thread(target=lambda: outcomes.append(link.lift(0, 200)))
-    lift.start()
-    until(lambda: any(fields['cmd2'] == bus.LIFT for fields in link.notes.of('executed')),
-          'the lift moves')
-    stop = link.call(STOPS[0], ())
-    lift.join()
-    assert stop.success and outcomes[0].status == TIMEOUT, (stop, outcomes)
-    stopped = link.board.lift.at(1e9)
-    assert 500 <= stopped < 700
-    assert link.lift(1, 1).success and link.board.lift.at(1e9) == pytest.approx(stopped - 1)
-
-
-def test_link_serves_a_board_that_never_echoes(unusual_board):
-    link = unusual_board(echoes=False)
-    assert link.lift(0, 10).success and link.gimbal(0, 5).success
-    assert not link.call(bus.ECHO_FUNCTION, (b'mine',)).success
-
-
-def test_recovers_after_an_unplug(master, cable):
-    cable.unplug()
-    until(lambda: not master.port.is_open, 'the loss')
-    assert not master.lift(0, 10).success
-    cable.plug()
-    until(lambda: master.port.is_open and master.master.synchronised, 'the return')
-    before = master.board.lift.at(1e9)
-    assert master.lift(0, 10).success
-    assert master.board.lift.at(1e9) == before + 10
-    assert [fields['open'] for fields in master.notes.of('port')][-3:] == [True, False, True]

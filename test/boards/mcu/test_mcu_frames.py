@@ -54,32 +54,12 @@ def test_rejected_vectors(case, cause):
 
 # -- LEN and TYPE ---------------------------------------------------------------------------------
 
-@pytest.mark.parametrize('length', [0, 1])
-def test_a_len_under_2_is_a_framing_error(length):
-    check_rejected(MCU, bytes((2, length)), FRAMING)
-    good_one = status()
-    frames, errors = decode(MCU, bytes((2, length)) + good_one, end=False)
-    assert [frame.raw for frame in frames] == [good_one]
-    assert errors == dict(no_errors(MCU), **{FRAMING: 1})
-
-
 def test_a_len_under_2_is_detected_at_once():
     decoder = mcu.Decoder()
     decoder.feed(b'\x02\x01')
     assert not decoder.begun
     decoder.give_up()
     assert decoder.errors[FRAMING] == 1
-
-
-@pytest.mark.parametrize('type_, right_length', [(0x10, 12), (0x01, 14)])
-def test_a_known_type_has_one_len(type_, right_length):
-    for length in range(2, 256):
-        wire = sealed(type_, 7, bytes(length - 2))
-        frames, errors = decode(MCU, wire)
-        if length == right_length:
-            assert len(frames) == 1 and errors == no_errors(MCU)
-        else:
-            assert frames == [] and errors[FRAMING] >= 1 and errors[CHECKSUM] == 0
 
 
 def test_a_wrong_len_of_a_known_type_is_detected_at_once():
@@ -89,7 +69,7 @@ def test_a_wrong_len_of_a_known_type_is_detected_at_once():
     assert len(valid(decoder.feed(status()))) == 1 and decoder.errors[FRAMING] == 1
 
 
-@pytest.mark.parametrize('type_', [0, 2, 3, 0x11, 0xFE])
+@pytest.mark.parametrize('type_', [0, 2, 3, 0x11, 0xFD])
 @pytest.mark.parametrize('size', [0, 1, 253])
 def test_a_valid_frame_of_an_unknown_type_is_returned_and_counted(type_, size):
     payload = bytes(value % 200 + 4 for value in range(size))
@@ -159,14 +139,3 @@ def test_sensor_status_round_trip(range_1, range_2, yaw, pitch, roll, seq):
     assert [(frame.type, frame.number) for frame in frames] == [(0x10, seq)]
     assert mcu.encode(frames[0].message, seq) == wire
     assert errors == no_errors(MCU)
-
-
-@given(st.tuples(*[uint16] * 6), seqs)
-def test_adc_status_round_trip(channels, seq):
-    message = mcu.AdcStatus(*channels)
-    wire = mcu.encode(message, seq)
-    assert wire == sealed(0x01, seq, struct.pack('<6H', *channels))
-    frames, errors = decode(MCU, wire, end=False)
-    assert [(frame.message, frame.number) for frame in frames] == [(message, seq)]
-    assert errors == no_errors(MCU)
-    str(message)

@@ -1,8 +1,6 @@
 """The simulated sensor board."""
-from simulation_bench import Bench, running, until
+from simulation_bench import Bench
 
-from serial_communication.boards.mcu.link import McuLink
-from serial_communication.transport.port import Port
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import OUT_OF_RANGE, SensorBoard
 
@@ -80,26 +78,3 @@ def test_journal_has_every_frame():
         frame.raw for frame in frames(bench)]
     assert [fields['seq'] for fields in notes] == list(range(len(notes)))
     assert all(fields['ok'] for fields in notes)
-
-
-def test_link_receives_its_frames_again_after_an_unplug(cable):
-    seqs = []
-    with running(SensorBoard(rate=100), cable.far) as notes:
-        link = McuLink(Port(cable.near), on_status=lambda message, seq, stamp: seqs.append(seq))
-        link.start()
-        try:
-            until(lambda: len(seqs) > 20, 'frames')
-            # What waits while this machine stalls is dropped, and is missing.
-            assert link.connection.stale or (
-                link.frames_lost == 0
-                and sum(link.decoder.errors.values()) <= 1)   # a first one, cut
-            cable.unplug()
-            until(lambda: not link.port.is_open, 'the loss')
-            until(lambda: [note['open'] for note in notes.of('port')] == [True, False],
-                  "the board's loss")
-            seen = len(seqs)
-            cable.plug()
-            until(lambda: len(seqs) > seen + 20, 'frames again')
-        finally:
-            link.stop()
-            link.join(10.0)

@@ -3,8 +3,8 @@
 The exit status is 0 only if each was found by its requirement, and every change still applies.
 """
 import argparse
-import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -48,22 +48,18 @@ def _run(broken: Broken, folder: Path) -> Tuple[bool, str]:
     shutil.copytree(str(PACKAGE), str(folder / PACKAGE.name))
     for path, text in files.items():
         (folder / PACKAGE.name / path).write_text(text)
-    result = folder / 'result.json'
     env = f'env PYTHONPATH={folder}:{os.environ["PYTHONPATH"]} '
-    arguments = [sys.executable, '-m', 'campaign', '--json', str(result), '--keep',
-                 str(folder / 'records'), '--bridge', env + _NODE, '--part', broken.scenario,
-                 '--until', broken.requirement]
-    with open(str(folder / 'output'), 'w+') as output:
-        subprocess.run(['timeout', str(_TIME), *arguments], stdout=output, stderr=output,
-                       check=False)
-        output.seek(0)
-        if not result.exists():
-            return False, f'the campaign does not run: {output.read()[-500:]}'
-    violated = {row['requirement']: row['violated after']
-                for row in json.loads(result.read_text()) if row['violations']}
-    if broken.requirement in violated:
-        return True, f'{violated[broken.requirement]:6.1f} s  {broken.requirement}'
-    return False, f'NOT FOUND: {broken.what} Violated: {"; ".join(violated) or "nothing"}'
+    done = subprocess.run(
+        ['timeout', str(_TIME), sys.executable, '-m', 'campaign', '--keep', str(folder / 'records'),
+         '--bridge', env + _NODE, '--part', broken.scenario, '--until', broken.requirement],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True, check=False)
+    violated = re.findall('^VIOLATED after (.*?)  (.*)$', done.stdout, re.MULTILINE)
+    for seconds, row in violated:
+        if row.endswith(f': {broken.requirement}'):
+            return True, f'{seconds:>8}  {broken.requirement}'
+    if ' requirements, ' not in done.stdout:
+        return False, f'the campaign does not run: {done.stdout[-500:]}'
+    return False, f'NOT FOUND: {broken.what} Violated: {violated or "nothing"}'
 
 
 sys.exit(main())

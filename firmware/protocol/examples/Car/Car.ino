@@ -94,6 +94,7 @@ void loop() {
     ticks = encoder_ticks;
     encoder_ticks = 0;
   }
+  bridge.time(micros());  // when the packets below are measured
   bridge.send_ticks(ticks);
   bridge.send_steering_angle(analogRead(kFeedbackPin));
   if (++beats == 100) {

@@ -33,6 +33,7 @@ void loop() {
   bridge.update();
   if (millis() - sent_ms >= 100) {
     sent_ms += 100;
+    bridge.time(micros());  // when it is measured
     Light light;
     light.raw = analogRead(A0);
     bridge.send(32, light);

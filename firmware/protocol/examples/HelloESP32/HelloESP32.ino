@@ -39,6 +39,7 @@ void loop() {
   bridge.update();
   if (millis() - sent_ms >= 100) {
     sent_ms += 100;
+    bridge.time(micros());  // when it is measured
     Light light;
     light.raw = analogRead(kLightPin);
     if (!bridge.send(32, light)) bridge.warn("light was not sent");  // false: not all of it was sent

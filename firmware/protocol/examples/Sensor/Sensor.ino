@@ -26,6 +26,7 @@ void loop() {
   if (millis() - sent_ms < 50) return;
   sent_ms += 50;
 
+  bridge.time(micros());  // when the status is measured
   SensorStatus status;
   status.range_mm[0] = analogRead(A0);
   status.range_mm[1] = kRangeTimedOut;            // this sensor has no reading

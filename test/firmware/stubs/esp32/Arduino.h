@@ -19,6 +19,7 @@ const uint8_t A0 = 36;
 const uint8_t A1 = 37;
 
 unsigned long millis();
+unsigned long micros();
 void delay(uint32_t ms);
 void delayMicroseconds(uint32_t us);
 int digitalRead(uint8_t pin);

@@ -18,6 +18,7 @@ const MORE = [
   ['timeouts', (v) => v['timeouts']],
   ['heartbeat gap', (v) => milliseconds(v['heartbeat gap [ms]'])],
   ['lost', (v) => v['frames lost']],
+  ['read delay', (v) => milliseconds(v['read delay p50 [ms]'])],
   ['stale', (v) => v['stale'] === undefined ? undefined : `${v['stale']} bytes`],
   ['reconnects', (v) => v['reconnects']],
 ];

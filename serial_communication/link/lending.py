@@ -1,0 +1,120 @@
+"""Lends a link's port to another program, and resets its board."""
+import time
+from typing import Any, Callable, Optional, Tuple
+
+from ..framing.layout import readable
+from ..transport.pace import clock
+from ..transport.port import Loan, Port, PortError
+from .outcome import LOOK, Refused
+
+LONGEST_LOAN = 10.0    # s, from each call
+_LONGEST_NAME = 60     # characters
+_CLOSES_WITHIN = 1.5   # s for the link's thread to take the task and to close the port
+
+Answer = Tuple[bool, str]     # whether it was done, and what was done or why not
+
+
+class Lending:
+    """Any thread may call `lend` and `reset`; the link's thread then does what has to be done
+    while the port is open, in `step`, and so never while it sends or receives something else.
+
+    A loan ends by itself: whatever happens to who asked for it, the port stays closed for 10 s at
+    most, or until no other program has it open. A caller who is told that the port was not lent may
+    be wrong for that time.
+
+    Args:
+        may_be_old: whether a call that arrives now may have waited while the bridge stalled.
+    """
+
+    def __init__(self, port: Port, wake: Callable[[], None],
+                 may_be_old: Callable[[], bool]) -> None:
+        self.line = ''                # `dtr` or `rts`, which resets the board; '': none does
+        # Set by boards, called in the link's thread: what must not be interrupted now, '': nothing.
+        self.under_way: Callable[[], str] = lambda: ''
+        # Likewise: make the board safe, then `Port.give_up` with this reason.
+        self.let_go: Callable[[str], None] = port.give_up
+        self._port = port
+        self._wake = wake
+        self._may_be_old = may_be_old
+        self._task: Optional[_Task] = None
+
+    def lend(self, by: str, seconds: float) -> Answer:
+        """Close the port and leave it alone for so many seconds from now on, at most
+        `LONGEST_LOAN`; 0 ends the loan. The same name may change its loan at any time."""
+        by, loan = readable(by).strip()[:_LONGEST_NAME], self._port.loan
+        if not by or not seconds >= 0:      # NaN is refused, too
+            return False, f'by is {by!r} and seconds {seconds:g}: a name and 0 … 10 are needed'
+        if loan and loan.by != by and loan.runs:
+            return False, f'the port is {loan}'
+        new = Loan(by, clock() + min(seconds, LONGEST_LOAN))
+        if not seconds:
+            if loan and loan.by == by:
+                self._port.lend_closed(new)
+            return True, 'the port is opened again'
+        if not self._port.lend_closed(new):
+            why_not = self._do(_Task(str(new), loan=new))
+            if why_not:
+                return False, why_not
+        deadline = time.monotonic() + _CLOSES_WITHIN
+        while not self._port.has_closed():
+            if time.monotonic() > deadline:
+                self._port.lend_closed(new._replace(until=0.0))
+                return False, 'the port is just being opened or closed, which takes long'
+            time.sleep(0.005)
+        return True, f'{new} for {min(seconds, LONGEST_LOAN):g} s'
+
+    def reset(self) -> Answer:
+        """Reset the board by its control line, and open the port again."""
+        if not self.line:
+            return False, 'no line that resets this board is known (parameter reset_line)'
+        if self._port.is_pty or self._port.is_network:
+            return False, f'the port {self._port.url} has no control lines'
+        why_not = self._do(_Task(f'the board is reset by {self.line.upper()}', line=self.line))
+        return not why_not, why_not or f'reset by {self.line.upper()}'
+
+    def _do(self, task: '_Task') -> str:
+        """Have the link's thread do a task; return why it was not done, or ''."""
+        if self._may_be_old():
+            return 'the call may have waited while the bridge stalled; call again'
+        self._task = task
+        self._wake()
+        deadline = time.monotonic() + _CLOSES_WITHIN
+        while task.why_not is None:
+            if time.monotonic() > deadline or self._task not in (task, None):
+                self._task = None       # two tasks at once: at least one of them fails
+                return f'the link did not confirm it in time; {LOOK}'
+            time.sleep(0.005)
+        return task.why_not
+
+    def step(self) -> None:
+        """In the link's thread, whether the port is open or not."""
+        task, self._task = self._task, None
+        if task is None:
+            return
+        try:
+            task.why_not = self._step(task)
+        except (Refused, PortError) as error:
+            task.why_not = str(error)
+
+    def _step(self, task: '_Task') -> str:
+        port = self._port
+        if not port.is_open:
+            return '' if task.loan and port.lend_closed(task.loan) else 'the port is closed'
+        under_way = self.under_way()
+        if under_way:
+            return f'not now: {under_way}'
+        self.let_go(task.why)
+        port.loan = task.loan       # this thread, which runs this, closes the port later
+        if task.line:
+            port.pulse(task.line)
+        return ''
+
+
+class _Task:
+    """What the link's thread is asked to do."""
+
+    def __init__(self, why: str, loan: Optional[Loan] = None, line: str = '') -> None:
+        self.why = why
+        self.loan = loan
+        self.line = line
+        self.why_not: Optional[str] = None     # None: not done yet

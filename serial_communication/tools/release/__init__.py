@@ -1,0 +1,1 @@
+"""Runs a command while it borrows a port of the bridge, see cli.py."""

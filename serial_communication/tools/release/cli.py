@@ -1,0 +1,168 @@
+"""rosrun serial_communication release: run a command while it borrows a port of the bridge.
+
+The bridge stops the car (SPEED 0), closes the port of the LINK, and opens it again when the command
+ends or is killed. If this program is killed, so is the command, and the bridge opens the port after
+a few seconds. {port} in the COMMAND is the device. Exit status: the command's, 128 and the number of
+the signal that ended it, 127 if it cannot be started, 125 if the port is not lent, 2 for a wrong
+argument.
+"""
+import argparse
+import ctypes
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from typing import Any, List, Optional
+
+import rosgraph
+import serial
+
+from serial_communication.srv import Release, ReleaseRequest
+
+from ...link.outcome import Verdict
+from ...output import prepare_output
+from ...ros.rospy_mends import master_calls
+from ..watch.calls import MOST_WAIT, call, node_argument
+from ..watch.topics import NODE
+
+_NOT_LENT, _NOT_STARTED = 125, 127
+_LOAN, _RENEW = 5.0, 1.0    # s
+_GIVE_BACK = 3.0            # s for the bridge to answer; the loan ends anyway
+_PR_SET_PDEATHSIG = 1
+
+_EXAMPLES = """\
+examples:
+  release arduino -- arduino-cli upload -p {port} -b arduino:avr:nano nano_car
+  release mcu -- esptool.py --port {port} write_flash 0x10000 firmware.bin
+  release arduino -- picocom -b 115200 {port}
+"""
+
+
+def main(arguments: Optional[List[str]] = None) -> int:
+    """Run the command and return the exit status."""
+    prepare_output()
+    options = _arguments(sys.argv[1:] if arguments is None else arguments)
+    if not shutil.which(options.command[0]):
+        return _say(f'there is no program {options.command[0]}', _NOT_STARTED)
+    master_calls.limit_time()
+    try:
+        device = _device(options.node, options.link)
+    except (OSError, ValueError, rosgraph.MasterException) as error:
+        return _say(str(error), _NOT_LENT)
+    name = f'{os.path.basename(options.command[0])} (pid {os.getpid()})'
+    loan = _Loan(f'{options.node}/{options.link}/release', name)
+    command = _Command([word.replace('{port}', device) for word in options.command])
+    try:
+        why_not = loan.renew()
+        if why_not:
+            return _say(why_not, _NOT_LENT)
+        loan.start()
+        return command.run()
+    finally:
+        loan.end()
+
+
+def _arguments(arguments: List[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog='release', usage='release LINK [--node NAME] -- COMMAND …',
+        description=__doc__.partition('\n\n')[2], epilog=_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('link', metavar='LINK', help='arduino, mcu, bus, or of another board')
+    parser.add_argument('--node', type=node_argument, default=NODE, metavar='NAME',
+                        help='name of the bridge (%(default)s)')
+    at = arguments.index('--') if '--' in arguments else len(arguments)
+    options = parser.parse_args(arguments[:at])
+    options.command = arguments[at + 1:]
+    if not options.command:
+        parser.error('a COMMAND is missing, after --')
+    return options
+
+
+def _say(text: str, status: int) -> int:
+    print(f'release: {text}', file=sys.stderr)
+    return status
+
+
+def _device(node: str, link: str) -> str:
+    """The device of a link's port, or its URL; ValueError, OSError if there is none."""
+    try:
+        url = rosgraph.Master('/release').getParam(f'{node}/{link}/port')
+    except rosgraph.MasterException:
+        raise ValueError(f'there is no bridge {node} with a port of {link}') from None
+    except OSError:
+        raise ValueError(f'no answer from the ROS master at {rosgraph.get_master_uri()}') from None
+    if not url:
+        raise ValueError(f'the link {link} is off: it has no port')
+    return serial.serial_for_url(url, do_not_open=True).port or url
+
+
+class _Loan:
+    """Borrows a port by this service, and renews that in a thread until `end`."""
+
+    def __init__(self, service: str, by: str) -> None:
+        self._service, self._by = service, by
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name='renewing', daemon=True)
+
+    def renew(self, seconds: float = _LOAN) -> str:
+        """Return why the port is not lent, or ''."""
+        answer = call(self._service, Release, ReleaseRequest(self._by, seconds),
+                      time.monotonic() + 2 * MOST_WAIT)
+        return '' if answer.outcome is Verdict.DONE else answer.words
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def end(self) -> None:
+        """Give the port back; if the bridge does not answer, the loan ends by itself."""
+        self._ending.set()
+        if self._thread.is_alive():
+            self._thread.join(_GIVE_BACK)
+
+    def _run(self) -> None:
+        was_lent = True
+        while not self._ending.wait(_RENEW):
+            why_not = self.renew()
+            if why_not and was_lent and not self._ending.is_set():
+                _say(f'the loan is not renewed: {why_not}', 0)
+            was_lent = not why_not
+        self.renew(0.0)
+
+
+class _Command:
+    """A command that ends with this process, and gets its signals."""
+
+    def __init__(self, words: List[str]) -> None:
+        self._words = words
+        self._process: Optional[subprocess.Popen] = None
+        for number in signal.SIGINT, signal.SIGTERM, signal.SIGHUP:
+            signal.signal(number, self._pass_on)
+
+    def run(self) -> int:
+        """Run it; return the exit status."""
+        parent, prctl = os.getpid(), ctypes.CDLL(None).prctl
+
+        def end_with_parent() -> None:
+            prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+            if os.getppid() != parent:      # it has ended already
+                os._exit(_NOT_STARTED)
+
+        try:
+            self._process = subprocess.Popen(self._words, preexec_fn=end_with_parent)
+        except OSError as error:
+            return _say(f'{self._words[0]} cannot be started: {error.strerror}', _NOT_STARTED)
+        status = self._process.wait()
+        return status if status >= 0 else 128 - status
+
+    def _pass_on(self, number: int, _frame: Any) -> None:
+        if self._process is None:
+            sys.exit(128 + number)
+        if number != signal.SIGINT or not os.isatty(0):     # a terminal sends it to both
+            self._process.send_signal(number)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,209 @@
+"""The times of measurement that a board's clock gives, with clocks and delays of the test."""
+import math
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as some
+
+from serial_communication.framing.board_time import LEAST_POINTS, WINDOW, BoardClock
+
+PERIOD = 0.01     # s between two measurements
+SECONDS = some.floats(0, 0.3)
+
+
+class Board:
+    """A board that measures each PERIOD of its own clock."""
+
+    def __init__(self, drift=0.0, ticks=0, wander=0.0, seed=1):
+        self.now = 1000.0
+        self.drift = drift
+        self._wander = wander
+        self._board = ticks * 1e-6
+        self._random = random.Random(seed)
+
+    def measure(self, seconds=PERIOD):
+        """Return the true time and the board's."""
+        self.drift += self._random.gauss(0, self._wander)
+        self._board += seconds
+        self.now += seconds / (1 + self.drift)
+        return self.now, round(self._board * 1e6) % 2 ** 32
+
+
+def errors_of(clock, board, delays):
+    """The error of each time returned, in s; the delays are those of the arrivals."""
+    errors, newest = [], 0.0
+    for delay in delays:
+        true, ticks = board.measure()
+        newest = max(newest, true + delay)       # a line keeps the order
+        at = clock.measured_at(ticks, newest)
+        if at is not None:
+            errors.append(at - true)
+    return errors
+
+
+def usual(seed=1, least=0.0, typical=3e-5):
+    """Delays of a quiet line."""
+    source = random.Random(seed)
+    while True:
+        yield least + source.expovariate(1 / typical)
+
+
+def take(count, delays):
+    return [next(delays) for _ in range(count)]
+
+
+def p99(errors):
+    return sorted(abs(error) for error in errors)[len(errors) * 99 // 100]
+
+
+@given(some.lists(some.tuples(some.integers(0, 2 ** 32 - 1), SECONDS), max_size=60))
+def test_a_time_is_never_after_the_arrival(points):
+    clock, now = BoardClock(), 5.0
+    for ticks, elapsed in points:
+        now += elapsed
+        at = clock.measured_at(ticks, now)
+        assert at is None or at <= now
+
+
+@given(some.lists(some.tuples(some.integers(1, 100_000), some.floats(0, 0.1), SECONDS),
+                  min_size=20, max_size=200))
+def test_a_later_time_is_never_returned_earlier(points):
+    clock, now, ticks, newest, arrival = BoardClock(), 5.0, 0, -math.inf, 0.0
+    for step, elapsed, delay in points:
+        now, ticks = now + elapsed, ticks + step
+        arrival = max(now + delay, arrival)
+        at = clock.measured_at(ticks, arrival)
+        if at is not None:
+            assert at >= newest
+            newest = at
+
+
+@given(some.floats(-0.0095, 0.0095), some.lists(SECONDS, min_size=150, max_size=250))
+def test_whatever_the_delays_are_one_in_a_hundred_without_delay_is_enough(drift, delays):
+    for at in range(0, len(delays), 50):
+        delays[at] = 0.0
+    errors = errors_of(BoardClock(), Board(drift), delays)
+    assert all(error > -1e-4 for error in errors)
+
+
+@given(some.floats(0.001, 0.3), some.floats(0.001, 0.6), some.integers(200, 1500))
+def test_a_delay_never_makes_a_time_later(delay, more, count):
+    times = []
+    for last in delay, delay + more:
+        clock, board = BoardClock(), Board(drift=0.003)
+        errors_of(clock, board, take(count, usual()))
+        true, ticks = board.measure()
+        times.append(clock.measured_at(ticks, true + last))
+    assert times[0] == pytest.approx(times[1], abs=1e-9)
+    assert abs(times[0] - true) < 3e-4
+
+
+def test_without_delays_the_time_is_exact_from_the_tenth_point_and_the_first_second():
+    clock, board = BoardClock(), Board()
+    results = [clock.measured_at(ticks, true) for true, ticks in
+               (board.measure() for _ in range(200))]
+    known = [index for index, result in enumerate(results) if result is not None]
+    assert known == list(range(known[0], 200)) and known[0] in (100, 101)
+    assert results[150] == pytest.approx(1001.51, abs=2e-6)
+
+
+def test_ten_points_are_needed_however_slow_they_come():
+    clock, board = BoardClock(), Board()
+    results = []
+    for _ in range(15):
+        true, ticks = board.measure(0.5)
+        results.append(clock.measured_at(ticks, true))
+    assert [result is None for result in results] == [True] * (LEAST_POINTS - 1) + [False] * 6
+
+
+@pytest.mark.parametrize('before', [1, 50, 500])
+def test_the_boards_clock_wraps(before):
+    board = Board(drift=-0.004, ticks=2 ** 32 - round(before * PERIOD * 1e6))
+    errors = errors_of(BoardClock(), board, take(1500, usual()))
+    assert len(errors) >= 1399 and p99(errors) < 3e-4
+
+
+@pytest.mark.parametrize('batch, limit', [(0, 3e-4), (0.001, 6e-4), (0.016, 2.5e-3)])
+def test_a_line_that_delivers_in_batches(batch, limit):
+    board = Board(drift=0.004, wander=3e-6)
+    delays, clock, errors = usual(least=2e-4), BoardClock(), []
+    newest = 0.0
+    for index in range(6000):
+        true, ticks = board.measure()
+        arrival = true + next(delays)
+        if batch:
+            arrival = math.ceil(arrival / batch) * batch + next(delays) - 2e-4
+        if index % 500 < 8:     # a stall of 80 ms each 5 s
+            arrival += (8 - index % 500) * PERIOD
+        newest = max(newest, arrival)
+        at = clock.measured_at(ticks, newest)
+        if at is not None:
+            errors.append(at - true - 2e-4)
+    assert p99(errors) < limit
+
+
+@pytest.mark.parametrize('jump', [-2 ** 31, -1_100_000, -120_000, 1_100_000, 2 ** 31])
+def test_a_clock_that_jumps_begins_again(jump):
+    clock, board = BoardClock(), Board(ticks=5_000_000)
+    errors_of(clock, board, take(300, usual()))
+    true, ticks = board.measure()
+    other = Board(ticks=ticks + jump)
+    other.now = true
+    errors = errors_of(clock, other, take(150, usual()))
+    assert 49 <= len(errors) <= 51 and p99(errors) < 1e-4
+
+
+@pytest.mark.parametrize('older', [1e-6, 0.003, 0.09])
+def test_a_time_older_than_the_one_before_is_no_jump(older):
+    """As of a value that was measured in an interrupt, and sent behind another one."""
+    clock, board = BoardClock(), Board(drift=0.002)
+    for _ in range(300):
+        true, ticks = board.measure()
+        at = clock.measured_at(ticks, true + 1e-4)
+        before = clock.measured_at((ticks - round(older * 1e6)) % 2 ** 32, true + 2e-4)
+    assert at == pytest.approx(true, abs=3e-4)
+    assert before == pytest.approx(at - older, abs=1e-3)
+
+
+@pytest.mark.parametrize('bit', range(32))
+def test_a_time_with_a_wrong_bit_makes_no_other_time_wrong(bit):
+    """The packets of the car have no checksum. It is as if the clock had jumped there and back."""
+    clock, board = BoardClock(), Board(drift=0.002)
+    errors = errors_of(clock, board, take(400, usual()))
+    true, ticks = board.measure()
+    clock.measured_at(ticks ^ 1 << bit, true)
+    errors += errors_of(clock, board, take(400, usual()))
+    assert len(errors) > 550 and -0.011 < min(errors) <= max(errors) < 1e-3
+
+
+def test_points_of_before_a_silence_longer_than_the_window_are_forgotten():
+    """A board that was restarted meanwhile may seem to go on."""
+    clock, board = BoardClock(), Board(ticks=5_000_000)
+    errors_of(clock, board, take(300, usual()))
+    board.measure(WINDOW + 0.01)
+    errors = errors_of(clock, board, take(150, usual()))
+    assert 49 <= len(errors) <= 51
+
+
+@pytest.mark.parametrize('ppm', [-9000, -40, 0, 5000])
+def test_the_drift_is_told(ppm):
+    clock, board = BoardClock(), Board(drift=ppm * 1e-6)
+    errors_of(clock, board, take(1200, usual()))
+    assert clock.drift == pytest.approx(ppm, abs=20)
+
+
+def test_a_slope_over_one_percent_is_held_there():
+    clock = BoardClock()
+    errors = errors_of(clock, Board(drift=0.03), take(int(WINDOW / PERIOD), usual()))
+    assert clock.drift == pytest.approx(10_101, abs=1)
+    assert all(error <= 2e-4 for error in errors)
+
+
+def test_old_points_are_forgotten():
+    """A delay that grows for good is a new normal after the window, as in another route."""
+    clock, board = BoardClock(), Board()
+    errors_of(clock, board, take(500, usual()))
+    errors_of(clock, board, take(1600, usual(least=0.05)))
+    errors = errors_of(clock, board, take(100, usual(least=0.05)))
+    assert all(abs(error - 0.05) < 1e-3 for error in errors)

@@ -1,0 +1,261 @@
+"""Stamps of frames with the board's time: their values by given times, and links at a real tty."""
+import time
+
+import pytest
+from fake_boards import until
+
+from serial_communication.boards.arduino import custom_messages
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.mcu.link import McuLink
+from serial_communication.framing.board_time import LEAST_POINTS
+from serial_communication.link.connection import PortState
+from serial_communication.link.stall import AFTER_STALL, STALL
+from serial_communication.transport.port import Port
+
+BYTE = 10.0 / 115200     # s on the wire
+GROUP = 12               # bytes of TIME and TICKS
+AHEAD = 5000.0           # s that the stamps are ahead of the monotonic clock
+PERIOD = 0.1             # s between two measurements
+DELAY = 0.002            # s from the measurement to the arrival of the last byte, at least
+ADC = mcu.AdcStatus(1, 2, 3, 4, 5, 6)
+KEYS = 'board clock [ppm]', 'read delay p50 [ms]', 'read delay max [ms]', 'clock errors'
+
+
+class Car:
+    """A link to the car, and a clock of the test: no thread, no port.
+
+    Args:
+        byte_time: s that a byte takes on the wire; 0.0: not known.
+    """
+
+    def __init__(self, logger, byte_time=BYTE, **options):
+        self.got = []
+        self.link = ArduinoLink(Port('/dev/none'), logger=logger, on_message=lambda message, stamp:
+                                self.got.append((message, stamp)), **options)
+        self.link.port.byte_time = byte_time
+        self.now = 100.0
+        self.reset_at = 0.0
+
+    def time(self, count=16, ticks=None):
+        """TIME with the board's time of now."""
+        return arduino.encode(arduino.Time(
+            round((self.now - self.reset_at) * 1e6) if ticks is None else ticks, count))
+
+    def read(self, wire, late=DELAY):
+        """The link reads these bytes so many s later than now; return the stamps, by the
+        monotonic clock, of what it passes on."""
+        self.got.clear()
+        at = self.now + late
+        self.link.connection._receive(wire, at + AHEAD, at)
+        return [stamp - AHEAD for _message, stamp in self.got]
+
+    def measure(self, late=DELAY, behind=b''):
+        """Measure, and return the difference of the stamp and the measurement."""
+        self.now += PERIOD
+        return self.read(self.time(1) + arduino.encode(arduino.Ticks(1)) + behind,
+                         late)[0] - self.now
+
+    def settle(self, count=2 * LEAST_POINTS, **options):
+        """Measure until the clock is known."""
+        for _ in range(count):
+            self.measure(**options)
+
+    def values(self):
+        return {key: value for key, value in self.link.report(time.monotonic()).values
+                if key in KEYS}
+
+
+@pytest.fixture
+def car(logger):
+    return Car(logger)
+
+
+def test_the_stamp_is_that_of_the_read_until_the_clock_is_known_then_of_the_measurement(car):
+    late = [car.measure(0.03 if index % 2 else DELAY) for index in range(30)]
+    assert late[:9] == pytest.approx([DELAY, 0.03] * 4 + [DELAY])
+    assert late[-10:] == pytest.approx([DELAY - GROUP * BYTE] * 10, abs=1e-4)
+
+
+def test_all_packets_of_one_time_have_one_stamp(car):
+    car.settle()
+    wire = [arduino.encode(message) for message in (
+        arduino.Ticks(1), arduino.Voltage(12.0), arduino.SteeringAngle(3), arduino.Ticks(2))]
+    stamps = car.read(car.time(3) + b''.join(wire), late=0.02)
+    assert len(stamps) == 4 and len(set(stamps[:3])) == 1
+    assert stamps[3] == pytest.approx(car.now + 0.02)
+
+
+def test_the_wire_time_from_the_begin_of_the_frame_to_the_read_is_taken_off(car):
+    more = arduino.encode(arduino.Log(1, 'x' * 200))
+    late = 10 * DELAY + len(more) * BYTE
+    car.settle(late=late, behind=more)
+    assert car.measure(late, more) == pytest.approx(10 * DELAY - GROUP * BYTE, abs=1e-4)
+
+
+def test_nothing_is_taken_off_where_the_wire_is_not_known(logger):
+    car, more = Car(logger, byte_time=0.0), arduino.encode(arduino.Log(1, 'x' * 200))
+    car.settle(late=0.05, behind=more)
+    assert car.measure(0.05, more) == pytest.approx(0.05)
+    assert car.measure(0.09, more) == pytest.approx(0.05)
+
+
+def test_no_stamp_is_after_its_read_nor_before_an_earlier_one(car):
+    newest = 0.0
+    for index in range(300):
+        car.now += PERIOD
+        late = DELAY + (index * 7919 % 50) / 1000
+        stamp, = car.read(car.time(1) + arduino.encode(arduino.Ticks(1)), late)
+        if index > LEAST_POINTS + 1:
+            assert newest <= stamp <= car.now + late + 1e-6
+            newest = stamp
+
+
+@pytest.mark.parametrize('forget', ['opened', 'reset of the board'])
+def test_the_clock_is_learnt_anew_after_the_port_was_opened_or_the_board_was_reset(car, forget):
+    car.settle()
+    assert car.measure(0.02) < 0.01
+    if forget == 'opened':
+        car.link.connection._begin()
+    else:
+        car.reset_at = car.now
+    assert [car.measure(0.02) for _ in range(9)] == pytest.approx([0.02] * 9)
+    car.settle()
+    assert car.measure(0.04) < 0.03
+
+
+@pytest.mark.stalls
+def test_the_clock_is_learnt_anew_after_a_stall(car, monkeypatch):
+    car.settle()
+    connection, at = car.link.connection, [1000.0]
+    monkeypatch.setattr('serial_communication.transport.pace.clock', lambda: at[0])
+    connection.stalls.awake_at = 1000.0
+    for seconds in (2 * STALL, *[STALL / 2] * 5):
+        at[0] += seconds
+        connection._check_stall(at[0])
+    assert 5 * STALL / 2 > AFTER_STALL and connection.state is PortState.RECEIVING
+    assert car.measure(0.02) == pytest.approx(0.02)
+
+
+def test_a_frame_over_1_s_late_has_the_stamp_of_its_read_and_is_counted_and_logged(car, lines):
+    car.settle()
+    car.now += 0.9
+    for late in (0.5, 0.9, 1.3):      # each less than 1 s after the one before
+        car.now += 0.01
+        got = car.read(car.time(1) + arduino.encode(arduino.Ticks(1)), late)
+    assert got == pytest.approx([car.now + 1.3])
+    assert car.values()['clock errors'] == 2      # TIME and its packet
+    assert len(lines('over 1 s old')) == 1
+
+
+def test_a_time_is_for_packets_up_to_1_s_later(car):
+    car.settle()
+    late = [DELAY, 0.5, 0.99, 1.1]
+    car.now += PERIOD
+    wire = [car.time(16), *[b''] * 3]
+    got = [car.read(more + arduino.encode(arduino.Ticks(1)), seconds)[0] - car.now
+           for more, seconds in zip(wire, late)]
+    assert got == pytest.approx([DELAY, DELAY, DELAY, 1.1], abs=2e-3)
+
+
+def test_a_frame_in_an_earlier_read_has_its_time(logger):
+    """It is found when a false frame around it is given up."""
+    got = []
+    link = McuLink(Port('/dev/none'), on_status=lambda *status: got.append(status), logger=logger)
+    now = 100.0
+
+    def read(wire, at):
+        link.connection._receive(wire, at + AHEAD, at)
+
+    for seq in range(0, 60, 2):
+        now += PERIOD
+        read(mcu.encode(mcu.Time(round(now * 1e6)), seq) + mcu.encode(ADC, seq + 1), now + DELAY)
+    now += PERIOD
+    read(bytes((2, 200)), now)
+    read(mcu.encode(mcu.Time(round(now * 1e6)), 60) + mcu.encode(ADC, 61), now + 0.03)
+    del got[:]
+    for _ in range(3):
+        link.connection._receive(b'', now + 1 + AHEAD, now + 1)
+    assert [(seq, stamp) for _message, seq, stamp in got] == [
+        (61, pytest.approx(now + DELAY + AHEAD, abs=2e-3))]
+
+
+def test_diagnostics_show_the_clock_only_of_a_board_that_sends_its_time(car):
+    car.read(arduino.encode(arduino.Ticks(1)))
+    assert car.values() == {}
+    car.measure()
+    assert car.values() == {**dict.fromkeys(KEYS, '-'), 'clock errors': 0}
+    car.settle(200)
+    car.measure(0.05)
+    values = car.values()
+    assert values['clock errors'] == 0 and abs(float(values['board clock [ppm]'])) < 20
+    assert float(values['read delay p50 [ms]']) == pytest.approx(1e3 * GROUP * BYTE, abs=0.1)
+    assert float(values['read delay max [ms]']) == pytest.approx(50, abs=3)
+
+
+def test_without_board_time_the_clock_is_ignored(logger):
+    car = Car(logger, board_time=False)
+    assert [car.measure(0.02 if index % 2 else DELAY) for index in range(30)] == pytest.approx(
+        [DELAY, 0.02] * 15)
+    assert car.values() == {}
+
+
+def test_a_row_with_the_boards_time_has_its_stamp(logger):
+    row, = custom_messages({'force': {'type': 32, 'ros_type': 'a/B', 'layout': '<Ih',
+                                      'fields': ['@time', 'x']}})
+    car = Car(logger, messages=[row.kind])
+    for _ in range(30):
+        car.now += PERIOD
+        car.read(arduino.encode(row.kind(round(car.now * 1e6), 5)))
+    assert car.read(arduino.encode(row.kind(round(car.now * 1e6), 5)), 0.05) == pytest.approx(
+        [car.now + DELAY - 9 * BYTE], abs=1e-4)
+
+
+def test_a_step_of_the_clock_of_the_stamps_changes_no_difference(car):
+    """As of the system's clock, or of simulated time: the read has it, and so has the stamp."""
+    car.settle()
+    car.now += PERIOD
+    for step in 0.0, -3600.0, 1e9:
+        car.link.connection._receive(car.time(1) + arduino.encode(arduino.Ticks(1)),
+                                     car.now + 0.02 + step, car.now + 0.02)
+        assert car.got[-1][1] == pytest.approx(car.now + step + DELAY, abs=2e-3)
+        car.now += PERIOD
+
+
+def test_stamps_are_made_earlier_by_the_function_of_the_caller(logger):
+    car = Car(logger, earlier=lambda stamp, seconds: ('earlier', stamp - AHEAD, seconds))
+    for _ in range(30):
+        car.now += PERIOD
+        car.link.connection._receive(car.time(1) + arduino.encode(arduino.Ticks(1)),
+                                     car.now + 0.01 + AHEAD, car.now + 0.01)
+    word, stamp, seconds = car.got[-1][1]
+    assert (word, stamp) == ('earlier', pytest.approx(car.now + 0.01))
+    assert seconds == pytest.approx(GROUP * BYTE, abs=1e-4)
+
+
+def test_stamps_over_a_tty(line, logger, running):
+    """A frame that waited for 0.5 s has a stamp from before it was sent; `tap` has the read's."""
+    got, shown = [], []
+    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger, clock=time.monotonic,
+                           on_status=lambda message, seq, stamp: got.append(stamp)))
+    link.tap = lambda name, direction, frame: shown.append((frame.type, frame.stamp))
+    until(lambda: link.port.is_open)
+
+    def send(measured):
+        count, seq = len(shown) + 2, len(shown) % 256
+        line.write(mcu.encode(mcu.Time(round(measured * 1e6) % 2 ** 32), seq)
+                   + mcu.encode(ADC, seq + 1))
+        until(lambda: len(shown) == count)
+
+    while dict(link.report(time.monotonic()).values).get(
+            'read delay p50 [ms]', '-') == '-':
+        send(time.monotonic())
+    measured = time.monotonic()
+    time.sleep(0.5)
+    sent = time.monotonic()
+    send(measured)
+    assert measured - 0.05 < got[-1] < sent - 0.25
+    assert [type_ for type_, _stamp in shown[-2:]] == [mcu.Time.TYPE, mcu.AdcStatus.TYPE]
+    assert shown[-1][1] >= sent
+    assert link.frames_lost == 0

@@ -1,0 +1,229 @@
+#!/usr/bin/python3
+"""A port lent to a program: the services, the program `release`, and its end in every phase."""
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import rospy
+import rostest
+from std_srvs.srv import Empty, Trigger
+
+from boards import (ERROR, NOT_SENT, PACKAGE, SPEED_0_PACKET, WARN, BoardsTest, BusBoard,
+                    CarBoard, Diagnostics, command_topic, program, service, until)
+from serial_communication.boards.arduino.wire import Ticks
+from serial_communication.msg import SpeedPWMCommand
+from serial_communication.srv import Lift, Release
+
+# A command that has the port open for some seconds.
+BORROW = '''
+import serial, sys, time
+port = serial.Serial(sys.argv[1], 57600, timeout=0.05)
+print('open', flush=True)
+time.sleep(float(sys.argv[2]))
+'''
+
+
+class LendingTest(BoardsTest):
+    """One bridge with a car that drives."""
+
+    def setUp(self):
+        super().setUp()
+        self.board = self.plug('arduino', CarBoard)
+        self.parameters = {'arduino/port': self.lines['arduino'].near,
+                           'arduino/speed_timeout': 0.0}
+        self.bridge = self.start_bridge(parameters=self.parameters)
+        self.diagnostics = Diagnostics()
+        self.addCleanup(self.diagnostics.close)
+        self.board.write(b'\0')     # so that it is never silent
+        self.speed = command_topic('/%s/speed' % PACKAGE, SpeedPWMCommand)
+        until(lambda: 300 in self.board.speeds,
+              doing=lambda: self.speed.publish(SpeedPWMCommand(value=300)))
+
+    def program(self, *command, link='arduino'):
+        """Start `release LINK -- COMMAND`; its output is a pipe."""
+        process = subprocess.Popen([program('release'), link, '--', *command],
+                                   stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                                   stderr=subprocess.STDOUT, universal_newlines=True)
+        self.addCleanup(process.stdout.close)
+        self.addCleanup(process.wait)
+        self.addCleanup(process.kill)
+        return process
+
+    def borrow(self, seconds=600.0):
+        """Start a program that borrows the port, and return it when its command has it open."""
+        process = self.program(sys.executable, '-c', BORROW, '{port}', str(seconds))
+        self.assertEqual(process.stdout.readline(), 'open\n')
+        self.check_lent()
+        return process
+
+    def ends(self, process, status):
+        """Check the exit status of the program, whose output is then returned."""
+        self.assertEqual(process.wait(15), status)
+        return process.stdout.read()
+
+    def command_of(self, process):
+        """The process id of its command."""
+        with open('/proc/%d/task/%d/children' % (process.pid, process.pid)) as file:
+            return int(file.read())
+
+    def check_lent(self):
+        """The last packet is SPEED 0, and nothing follows it."""
+        until(lambda: bytes(self.board.wire).endswith(SPEED_0_PACKET), 'SPEED 0 is the last packet')
+        self.board.forget()
+
+    def check_back(self, seconds=10.0):
+        """The first packet is SPEED 0, and heartbeats follow."""
+        until(lambda: self.board.heartbeats() > 3, 'heartbeats', seconds)
+        self.assertEqual(bytes(self.board.wire).lstrip(b'\0')[:5], SPEED_0_PACKET)
+
+    def check_state(self, level, words):
+        self.diagnostics.fresh('arduino', lambda status: status.level == level
+                               and words in status.message, words)
+
+    # -- the services ---------------------------------------------------------------------
+
+    def test_the_service_lends_and_takes_back(self):
+        release = service('/%s/arduino/release' % PACKAGE, Release)
+        answer = release('arduino-cli', 5.0)
+        self.assertEqual((answer.success, answer.message), (True, 'lent to arduino-cli for 5 s'))
+        self.check_lent()
+        self.diagnostics.fresh('arduino', lambda status: status[:2] == (
+            WARN, 'lent to arduino-cli'), 'lent')
+        with self.assertRaisesRegex(rospy.ServiceException, 'status 253 .*lent to arduino-cli'):
+            service('/%s/calibrate_imu' % PACKAGE, Empty)()
+        self.assertFalse(release('minicom', 5.0).success)
+        self.assertEqual(bytes(self.board.wire), b'')
+        self.assertTrue(release('arduino-cli', 0.0).success)
+        self.check_back(3.0)
+        self.diagnostics.fresh('arduino', lambda status: status.message == 'open', 'open',
+                               lambda: self.board.say(Ticks(1)))
+
+    def test_a_pseudo_terminal_has_no_line_that_resets(self):
+        reset = service('/%s/arduino/reset' % PACKAGE, Trigger)
+        self.board.forget()
+        answer = reset()
+        self.assertFalse(answer.success)
+        self.assertIn('has no control lines', answer.message)
+        self.board.wait_for_heartbeats(3)
+        self.assertNotIn(SPEED_0_PACKET, self.board.wire)
+
+    def test_a_call_on_a_lent_bus_is_not_sent(self):
+        board = self.plug('bus', BusBoard)
+        self.start_bridge('bus_bridge', {'bus/port': self.lines['bus'].near})
+        echo = service('/bus_bridge/bus/echo', Trigger)
+        until(lambda: echo().success, 'the bus answers')
+        self.assertTrue(service('/bus_bridge/bus/release', Release)('me', 10.0).success)
+        board.forget()
+        answer = service('/bus_bridge/lift', Lift)(0, 100)
+        self.assertEqual((answer.success, answer.status), (False, NOT_SENT))
+        self.assertIn('lent to me', answer.message)
+        self.assertEqual(bytes(board.wire), b'')
+        self.assertIn('reset_line', service('/bus_bridge/bus/reset', Trigger)().message)
+
+    # -- the program ----------------------------------------------------------------------
+
+    def test_a_command_borrows_the_port_and_gives_it_back(self):
+        process = self.borrow(7.0)      # longer than a loan
+        self.check_state(WARN, 'lent to python3 (pid %d)' % process.pid)
+        self.assertEqual(bytes(self.board.wire), b'')
+        self.assertEqual(self.ends(process, 0), '')
+        self.check_back(4.0)
+        self.assertTrue(self.bridge.alive)
+
+    def test_the_exit_status_is_the_commands(self):
+        for status, command in ((0, 'true'), (3, 'exit 3'), (137, 'kill -9 $$')):
+            self.assertEqual(self.ends(self.program('sh', '-c', command), status), '')
+
+    def test_what_cannot_be_done_is_said(self):
+        for status, words, arguments in (
+                (127, 'there is no program nothing-there', ['arduino', '--', 'nothing-there']),
+                (125, 'no bridge /serial_communication with a port of mcu', ['mcu', '--', 'true']),
+                (125, 'no bridge /other with a port', ['arduino', '--node', 'other', '--', 'true']),
+                (2, 'a COMMAND is missing', ['arduino']), (2, 'LINK', ['--', 'true']),
+                (0, 'Exit status', ['--help'])):
+            done = subprocess.run([program('release'), *arguments], stdout=subprocess.PIPE,
+                                  stderr=subprocess.STDOUT, universal_newlines=True, timeout=30)
+            self.assertEqual(done.returncode, status, done.stdout)
+            self.assertIn(words, ' '.join(done.stdout.split()))
+        self.assertTrue(service('/%s/arduino/release' % PACKAGE, Release)('me', 2.0).success)
+        self.assertIn('the port is lent to me', self.ends(self.program('true'), 125))
+
+    def test_a_signal_ends_the_command_and_the_port_is_given_back(self):
+        for number in signal.SIGTERM, signal.SIGHUP, signal.SIGINT:
+            process = self.borrow()
+            process.send_signal(number)
+            self.ends(process, 128 + number)
+            self.check_back(4.0)
+            self.board.forget()
+
+    # -- what is killed or suspended --------------------------------------------------------
+
+    def test_kill_of_the_command(self):
+        process = self.borrow()
+        os.kill(self.command_of(process), signal.SIGKILL)
+        self.ends(process, 137)
+        self.check_back(4.0)
+
+    def test_kill_of_the_program(self):
+        process = self.borrow()
+        command = self.command_of(process)
+        process.kill()
+        until(lambda: not os.path.exists('/proc/%d' % command), 'its command is killed, too')
+        self.check_back()
+
+    def test_kill_of_the_program_whose_command_has_children(self):
+        """They go on, as an upload of arduino-cli does, and nothing is written to it."""
+        process = self.program('sh', '-c', sys.executable + ' -c "$0" "$1" 9; true', BORROW,
+                               '{port}')
+        self.assertEqual(process.stdout.readline(), 'open\n')
+        self.check_lent()
+        process.kill()
+        self.check_state(ERROR, 'still open in python3')
+        self.assertEqual(bytes(self.board.wire), b'')
+        self.check_back()
+
+    def test_kill_of_the_bridge(self):
+        process = self.borrow()
+        self.bridge.kill()
+        self.start_bridge(parameters=self.parameters)
+        until(lambda: len(self.board.wire) > 5, 'the next bridge writes')
+        self.assertEqual(bytes(self.board.wire).lstrip(b'\0')[:5], SPEED_0_PACKET)
+        self.check_state(WARN, 'lent to python3')       # renewed
+        self.check_lent()
+        process.terminate()
+        process.wait(15)
+        self.check_back(4.0)
+
+    def test_kill_of_the_bridge_that_does_not_return(self):
+        process = self.borrow(2.0)
+        self.bridge.kill()
+        self.assertIn('the loan is not renewed', self.ends(process, 0))
+        self.start_bridge(parameters=self.parameters)
+        self.check_back()
+
+    def test_a_bridge_that_was_suspended_during_a_loan_does_not_disturb_it(self):
+        process = self.borrow()
+        self.bridge.process.send_signal(signal.SIGSTOP)
+        time.sleep(6.0)         # longer than the loan
+        self.bridge.process.send_signal(signal.SIGCONT)
+        self.check_state(WARN, 'lent to python3')
+        self.assertEqual(bytes(self.board.wire), b'')
+        process.terminate()
+        self.check_back()
+
+    def test_a_program_that_was_suspended_during_a_loan_goes_on_with_it(self):
+        process = self.borrow()
+        process.send_signal(signal.SIGSTOP)
+        self.check_state(ERROR, 'still open in python3')
+        process.send_signal(signal.SIGCONT)
+        self.check_state(WARN, 'lent to python3')
+        self.assertEqual(bytes(self.board.wire), b'')
+        process.terminate()
+        self.check_back()
+
+
+if __name__ == '__main__':
+    rospy.init_node('lending_test')
+    rostest.rosrun(PACKAGE, 'lending', '__main__')
