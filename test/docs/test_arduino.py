@@ -39,7 +39,8 @@ def test_arduinos_own_builder_finds_the_library_and_compiles_the_example(fqbn, t
     (tmp_path / 'build').mkdir()
     done = subprocess.run(
         ['arduino-builder', '-compile', '-hardware', HARDWARE,
-         '-hardware', '/usr/share/arduino-builder', '-tools', HARDWARE, '-libraries', str(libraries), '-build-path', str(tmp_path / 'build'),
+         '-hardware', '/usr/share/arduino-builder', '-tools', HARDWARE,
+         '-libraries', str(libraries), '-build-path', str(tmp_path / 'build'),
          '-fqbn', fqbn, '-warnings', 'none', '-prefs=runtime.tools.avr-gcc.path=/usr',
          '-prefs=tools.ctags.path=/usr/bin', '-prefs=tools.ctags.cmd.path=/usr/bin/arduino-ctags',
          # The core's String wants a macro that the float.h of Debian's avr-gcc hides from C++.
