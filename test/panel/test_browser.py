@@ -634,7 +634,7 @@ def test_a_control_is_disabled_until_its_call_is_answered(control_page, robot):
         press(control_page, down, lambda page: robot.lift_requests and page.all(down + ':enabled')
               and page.attribute(answer, 'data-outcome') == 'not known', 'the outcome is not known')
         assert 'not known' in control_page.text(answer + ' .outcome')
-        assert 'look before you repeat it' in control_page.text(answer)
+        assert 'check the robot before you repeat it' in control_page.text(answer)
         assert len(robot.lift_requests) == 1
         return control_page.script('return window.wereDisabled')
     again_if_stalled(disabled_meanwhile)

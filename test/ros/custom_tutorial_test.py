@@ -98,7 +98,7 @@ class Tutorial(unittest.TestCase):
                 (PORT, self.port), (CHIP, os.path.join(self.folder, 'chip')),
                 ('$PWD/build', self.build), ('build/sketches', self.build + '/sketches')):
             line = line.replace(shown, here)
-        if 'avr_board' in line:
+        if ' avr_board ' in line:
             self.start_chip(line)
             return
         if line.startswith('roslaunch'):
