@@ -16,6 +16,8 @@ from serial_communication.boards.arduino.wire import Ticks
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Lift, Release
 
+PAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))),
+                    'doc', 'flashing.md')
 # A command that has the port open for some seconds.
 BORROW = '''
 import serial, sys, time
@@ -136,10 +138,39 @@ class LendingTest(BoardsTest):
     def test_a_command_borrows_the_port_and_gives_it_back(self):
         process = self.borrow(7.0)      # longer than a loan
         self.check_state(WARN, 'lent to python3 (pid %d)' % process.pid)
+        shown = subprocess.run([program('monitor'), '--once'], stdout=subprocess.PIPE,
+                               universal_newlines=True, timeout=30)
+        self.assertIn('lent to python3 (pid %d)' % process.pid, shown.stdout)
         self.assertEqual(bytes(self.board.wire), b'')
         self.assertEqual(self.ends(process, 0), '')
         self.check_back(4.0)
         self.assertTrue(self.bridge.alive)
+
+    def test_a_terminal_on_the_port(self):
+        """The line of doc/flashing.md."""
+        with open(PAGE, encoding='utf-8') as page:
+            line, = (line for line in page if 'miniterm {port}' in line)
+        keys, terminal = os.openpty()
+        screen = os.fdopen(keys, 'r+b', buffering=0)
+        self.addCleanup(screen.close)
+        process = subprocess.Popen(['bash', '-c', 'exec ' + line], stdin=terminal, stdout=terminal,
+                                   stderr=terminal, start_new_session=True)
+        self.addCleanup(process.wait)
+        self.addCleanup(process.kill)
+        os.close(terminal)
+        shown = screen.read(1000)
+        while b'--- Quit' not in shown:
+            shown += screen.read(1000)
+        self.check_lent()
+        screen.write(b'hello')
+        until(lambda: b'hello' in self.board.wire, 'the board reads it')
+        self.board.write(b'from the board')
+        while b'from the board' not in shown:
+            shown += screen.read(1000)
+        screen.write(b'\x1d')       # Ctrl-]
+        self.assertEqual(process.wait(15), 0)
+        self.board.forget()
+        self.check_back()
 
     def test_the_exit_status_is_the_commands(self):
         for status, command in ((0, 'true'), (3, 'exit 3'), (137, 'kill -9 $$')):
