@@ -17,7 +17,7 @@ from .rig import NAMES, Rig, Scenario
 from .storm import Storm
 
 _ROUND = 3600.0              # s of the statistical part between two exact parts
-_ATTEMPTS = 4                # at a scenario that the machine has spoiled
+_TRIES = 4                   # of a scenario that the machine spoils
 _PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
 _SWITCH_INTERVAL = 5e-4      # s, of Python's threads
 
@@ -136,20 +136,22 @@ def name_of(scenario: Scenario) -> str:
 
 def carry_out(rig: Rig, scenario: Scenario) -> None:
     """Run a scenario of the exact part; again if a check was not decided, or if something was
-    violated and the machine stalled."""
+    violated and the machine stalled. The results of the last try count."""
     table = rig.table
-    for _ in range(_ATTEMPTS):
+    for left in reversed(range(_TRIES)):
         began, before = time.monotonic(), table.results()
-        violations, undecided = table.total('violations'), table.total('undecided')
         _carry_out_once(rig, scenario)
-        if table.total('violations') > violations and rig.machine.stalled(began, time.monotonic()):
-            print(*[f'    the machine stalled: {row.examples[-1]}' for row in table.violated],
-                  sep='\n', file=sys.stderr)
-            table.take_back(before)
-        if table.until in [row.text for row in table.violated]:
-            raise KeyboardInterrupt
-        if table.total('undecided') == undecided:
+        spoiled = table.grown('undecided', before)
+        violated = table.grown('violations', before)
+        if violated:
+            spoiled = violated if rig.machine.stalled(began, time.monotonic()) else []
+        if not spoiled or not left:
             break
+        print(*[f'    spoiled by the machine: {row.text} {row.examples}' for row in spoiled],
+              sep='\n', file=sys.stderr)
+        table.take_back(before)
+    if table.until in [row.text for row in table.violated]:
+        raise KeyboardInterrupt
 
 
 def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
