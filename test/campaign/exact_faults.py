@@ -97,8 +97,9 @@ def lent(rig: Rig) -> None:
         rig.car_line.drain()
         required.check(not rig.car.first and len(rig.bus.requests) == count,
                        f'{rig.car.first} or {rig.bus.requests[count:]} was sent')
-        rig.diagnosed('arduino', 1, 'lent to campaign')
-        ends_at = release(0.0) if is_given_back else ends_at
+        if is_given_back:
+            rig.diagnosed('arduino', 1, 'lent to campaign')
+            ends_at = release(0.0)
         required.wait(lambda: rig.car.beats and len(rig.bus.requests) > count, 'they are opened')
         rig.in_time(required, ends_at, check_first(rig).t, _PORT_RETURN, f'{seconds:g} s')
         rig.row(SYNC_FIRST).check(rig.bus.requests[count].cmd1 == codec.SYNC, 'not SYNC')
