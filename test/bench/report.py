@@ -110,6 +110,10 @@ GOALS = (
     *(Goal(f"stamps with the board's time, {line}: p99 of the error in ms", limit, 'stamps',
            _of(line, 'board: error p99, ms'))
       for line, limit in (('tty', 0.3), ('1 ms', 0.6), ('16 ms', 2.5))),
+    *(Goal(f'stamps of the emulated Nano, {line}: p99 of the error in ms', limit, 'nano',
+           _of(line, 'board: error p99, ms')) for line, limit in (('1 ms', 0.6), ('16 ms', 2.5))),
+    *(Goal(f'distance of two of them, {line}: p99 in ms', 0.1, 'nano',
+           _of(line, 'board: distance p99, ms')) for line in ('1 ms', '16 ms')),
     Goal('distance of two of them, p99 in ms', 0.1, 'stamps',
          lambda results: max(results[line]['board: distance p99, ms']
                              for line in ('tty', '1 ms', '16 ms'))),

@@ -92,6 +92,10 @@ def _figure(function: Callable[[List[float]], float], seconds: List[float]) -> f
     return 1e3 * function(seconds) if seconds else inf
 
 
+def _p99(seconds: List[float]) -> float:
+    return _figure(lambda values: percentile(values, 99), seconds)
+
+
 # -- one board, IMU and steering subscribed -------------------------------------------------------
 
 def latency(stage: BenchStage, plan: Plan, busy: int = 0) -> Results:
@@ -118,7 +122,7 @@ def _latency(side: Side, subscriber: Servant, seconds: float) -> Figures:
     found = latencies(sent, subscriber.ask('take', node=side.node))
     gaps = [after - then for then, after in zip(beats, beats[1:])]
     return {'p50, ms': _figure(median, found),
-            'p99, ms': _figure(lambda values: percentile(values, 99), found),
+            'p99, ms': _p99(found),
             'lost': 2 * len(sent) - len(found), **cost,
             'heartbeat: deviation, ms': _figure(pstdev, gaps),
             'heartbeat: p99.9, ms': _figure(lambda values: percentile(values, 99.9), gaps),
@@ -224,10 +228,8 @@ def stamps(stage: BenchStage, plan: Plan) -> Results:
             errors, distances = stamp_errors(
                 sent[name], subscriber.ask('take', node=side.node), round(_LEARN * 100))
             figures.update({
-                f'{name}: error p50, ms': _figure(median, errors),
-                f'{name}: error p99, ms': _figure(lambda values: percentile(values, 99), errors),
-                f'{name}: distance p99, ms':
-                    _figure(lambda values: percentile(values, 99), distances),
+                **_error_figures(name, errors),
+                f'{name}: distance p99, ms': _p99(distances),
                 f'{name}: {SCHEDSTAT}': (threads_of(side.child.pid)[_ALL, _CPU_MS] - before[name])
                 / 10 / (_LEARN + plan.seconds)})
         return figures
@@ -239,6 +241,26 @@ def stamps(stage: BenchStage, plan: Plan) -> Results:
     found = lines({'tty': 0.0, '1 ms': 0.001, '16 ms': 0.016})
     stage.busy(2)
     return {**found, **lines({'busy': 0.0})}
+
+
+def nano(stage: BenchStage, plan: Plan) -> Results:
+    """Stamps of the emulated Nano, whose line delivers each 1 ms, and behind an adapter that
+    delivers each 16 ms. Without the rounds in which the emulator stalled."""
+    servant = stage.servant('nano', 'nano')
+
+    def round_with(batch: float) -> Figures:
+        found = servant.ask('measure', seconds=plan.seconds, batch=batch)
+        return {**_error_figures('board', found['board']),
+                'board: distance p99, ms': _p99(found['distance']),
+                **_error_figures('read', found['read'])}
+
+    return _in_turn(plan, {name: lambda batch=batch: round_with(batch)
+                           for name, batch in (('1 ms', 0.0), ('16 ms', 0.016))})
+
+
+def _error_figures(name: str, errors: List[float]) -> Figures:
+    return {f'{name}: error p50, ms': _figure(median, errors),
+            f'{name}: error p99, ms': _p99(errors)}
 
 
 def flood(stage: BenchStage, plan: Plan) -> Results:
@@ -301,4 +323,4 @@ def bus(stage: BenchStage, plan: Plan) -> Results:
 
 
 SECTIONS = {section.__name__: section for section in (
-    latency, busy, stamps, cpu, bus, flood, bridges)}
+    latency, busy, stamps, nano, cpu, bus, flood, bridges)}
