@@ -122,8 +122,8 @@ def take_terminal(browser, folder, out):
     save(browser.picture(), out / 'terminal.png')
 
 
-def take_intact(browser, folder, out):
-    """Take the page, an animation of it, the terminal and rviz."""
+def take_rviz(out):
+    """Take rviz on a virtual screen."""
     reading, writing = os.pipe()
     with contextlib.ExitStack() as stack:
         stack.enter_context(running('Xvfb', '-displayfd', str(writing), '-screen', '0',
@@ -133,6 +133,17 @@ def take_intact(browser, folder, out):
             display = f':{number.readline().strip()}'
         stack.enter_context(running('roslaunch', 'serial_communication', 'view.launch',
                                     'sim:=true', env={**os.environ, 'DISPLAY': display}))
+        driving(stack)
+        time.sleep(HISTORY)
+        save(subprocess.run(['import', '-display', display, '-window', 'root', 'png:-'],
+                            stdout=subprocess.PIPE, check=True).stdout, out / 'rviz.png')
+
+
+def take_intact(browser, folder, out):
+    """Take the page, an animation of it, and the terminal. rviz would take the processor."""
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(running('roslaunch', 'serial_communication', 'bridge.launch',
+                                    'sim:=true'))
         driving(stack)
         panel = panel_helpers.Panel('--control')
         stack.callback(panel.end)
@@ -146,10 +157,9 @@ def take_intact(browser, folder, out):
             browser.click(f'[data-service="{service}"] button:nth-of-type({button})')
             browser.wait(lambda page: page.all(f'[data-service="{service}"] button')[0]
                          .is_enabled(), 'the call is answered')
+        browser.wait(lambda page: not page.all('[data-state="stale"]'), 'all values are new')
         save(browser.picture(), out / 'panel.png')
         animate(browser, out / 'panel.gif')
-        save(subprocess.run(['import', '-display', display, '-window', 'root', 'png:-'],
-                            stdout=subprocess.PIPE, check=True).stdout, out / 'rviz.png')
         take_terminal(browser, folder, out)
 
 
@@ -209,6 +219,7 @@ def main():
             take_stamps(browser, Path(folder), out)
             take_intact(browser, Path(folder), out)
             take_faulty(browser, Path(folder), out)
+            take_rviz(out)
         finally:
             browser.quit()
             core.stop()
