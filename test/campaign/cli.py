@@ -10,8 +10,7 @@ from typing import Any, Dict, Iterator, NamedTuple, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
-from . import (exact_bus, exact_car, exact_data, exact_faults, exact_node, exact_settings,
-               exact_time)
+from . import exact_bus, exact_car, exact_data, exact_faults, exact_node, exact_settings
 from .lines import NetworkLine
 from .requirements import Table
 from .rig import NAMES, Rig, Scenario
@@ -34,7 +33,7 @@ class Group(NamedTuple):
 
 GROUPS = (
     Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
-           *exact_node.SERIAL, *exact_time.SERIAL, exact_settings.no_rows), events=(
+           *exact_node.SERIAL, exact_settings.no_rows), events=(
         'arduino: .* refused: .*clos', 'arduino: .* refused: its stamp',
         'arduino: .* refused: .*latches', 'arduino: .* refused: .*old connection',
         'arduino: .* refused: .*calibrates', 'arduino: LED .*refused', 'arduino: .*stalled for',
