@@ -1,9 +1,15 @@
 """Settings of a sketch: what it answers, and when it reports them."""
+import itertools
 import struct
 
-from by_definition import arduino_at, mcu_at
+import pytest
+from by_definition import ANNOUNCEMENT, arduino_at, mcu_at, mcu_frame
+from waiting import again_if_stalled
 
-SETTING, MCU_SETTING, ANNOUNCEMENT = 253, 0xFD, 255
+from board_ends import (HEARTBEAT, IMU, MCU_SETTING, SETTING, SPEED, STEERING, TICKS, car_end,
+                        packet)
+
+TARGET, WHEEL_SPEED = 32, 33         # messages of the example Tuning
 NUMBERS = [1, 2, 3, 4, 5, 200]      # those of library_cases.cpp, in the order of their table
 
 
@@ -49,3 +55,177 @@ def test_an_answer_waits_for_room_and_all_are_given(library_case):
     assert [(ms, packet.data) for ms, packet in packets if packet.data[0] in (2, 4) and ms > 160][
         :4] == [(350, b'\x02' + struct.pack('<H', 16)), (351, b'\x04\x07'),
                 (550, b'\x02' + struct.pack('<H', 16)), (551, b'\x04\x07')]
+
+
+# The sketches, on the emulated chip
+
+
+def set_to(car, layout, number, value, used=None):
+    """Set one, as the bridge does; wait until the board reports that it uses it, or `used`."""
+    car.forget()
+    car.send(SETTING, struct.pack('<B' + layout, number, value))
+    report = struct.pack('<B' + layout, number, value if used is None else used)
+    car.board.wait_until(lambda: report in car.read(SETTING), 2)
+
+
+def hold(car, command, seconds):
+    """Send a command and a heartbeat every 10 ms of the wire, in time however busy this machine is.
+
+    Empty packets fill the gaps: the emulated line takes one byte after the other at its speed.
+    """
+    packets = command + packet(HEARTBEAT)
+    beat = bytes(115 - len(packets)) + packets
+    end = car.board.get('rx_bytes') + 1150 * round(10 * seconds)
+    for _ in range(round(10 * seconds)):
+        car.port.write(10 * beat)
+        car.read()
+    car.board.wait_until(lambda: car.read() or car.board.get('rx_bytes') >= end, seconds + 1)
+
+
+def target(turns):
+    return packet(TARGET, struct.pack('<f', turns))
+
+
+def speeds(car):
+    return [struct.unpack('<f', data)[0] for data in car.read(WHEEL_SPEED)]
+
+
+def response(car):
+    """Of the wheel to a step from 0 to 8 turns/s: seconds to 90 % of it, the greatest speed."""
+    hold(car, target(0), 2)
+    car.forget()
+    hold(car, target(8), 4)
+    found = list(itertools.dropwhile(lambda speed: speed == 0, speeds(car)))
+    rise = len(list(itertools.takewhile(lambda speed: speed < 7.2, found)))
+    return 0.01 * rise, max(found)
+
+
+def test_gains_that_are_set_over_the_wire_change_the_step_response(firmware_build):
+    with car_end(firmware_build, image='Tuning.elf') as car:
+        def slow():
+            rise, greatest = response(car)
+            return 1.5 < rise < 2.5 and greatest < 8.5
+
+        def quick():
+            rise, greatest = response(car)
+            return 0.1 < rise < 0.25 and greatest < 9
+
+        def overshoots():
+            return response(car)[1] > 9.2
+        assert again_if_stalled(slow)
+        set_to(car, 'f', 1, 40)
+        set_to(car, 'f', 2, 200)
+        assert again_if_stalled(quick)
+        set_to(car, 'f', 2, 5000, used=1000)
+        assert again_if_stalled(overshoots)
+        car.forget()
+        car.board.reset()
+        car.board.wait_until(lambda: len(car.read(SETTING)) >= 3, 2)
+        assert [struct.unpack('<Bf', data) for data in car.read(SETTING)[:3]] == [
+            (1, 4), (2, 20), (3, 0)]
+        assert car.board.get('rx_overruns') == 0
+
+
+def stops_in_time(car):
+    """When nothing more is sent: check the time from the last heartbeat to PWM 0.
+
+    Return the PWM before.
+    """
+    car.board.wait_until(lambda: car.board.get('motor_pwm') == 0, 1)
+    before, (when, _) = car.board.history('motor_pwm')[-2:]
+    assert when - car.board.get('last_rx_time') < 0.032
+    return before[1]
+
+
+def test_the_motor_stops_without_heartbeats_and_waits_for_a_new_target(firmware_build):
+    with car_end(firmware_build, image='Tuning.elf') as car:
+        set_to(car, 'f', 1, 200)
+        set_to(car, 'f', 2, 1000)
+        hold(car, target(8), 1)
+        assert stops_in_time(car) > 0
+        known = car.board.history('motor_pwm')
+        hold(car, b'', 1)
+        assert car.board.history('motor_pwm') == known
+        hold(car, target(8), 1)
+        assert car.board.history('motor_pwm') != known
+
+
+def test_the_ramp_of_the_car_delays_a_rise_and_no_stop(car):
+    def rise():
+        """Seconds from PWM 100 to 255, of the latest rise."""
+        hold(car, packet(SPEED, struct.pack('<h', 0)), 0.2)
+        hold(car, packet(SPEED, struct.pack('<h', 1000)), 1)
+        changes = {pwm: when for when, pwm in car.board.history('motor_pwm')}
+        return changes[255] - changes.get(100, changes[255])
+
+    def is_at_once():
+        return rise() == 0
+    assert again_if_stalled(is_at_once)
+    set_to(car, 'H', 1, 500)
+
+    def ramps():
+        return rise() == pytest.approx(0.5 * 155 / 255, rel=0.03)
+    assert again_if_stalled(ramps)
+    assert stops_in_time(car) == 255
+    set_to(car, 'H', 1, 60000, used=2000)
+
+
+def test_the_steering_range_of_the_car_holds_for_the_angle_that_was_commanded(car):
+    def servo(pulse_us):
+        car.board.wait_until(lambda: car.board.get('servo_us') == pulse_us, 1)
+    car.send(STEERING, struct.pack('<H', 1900))
+    servo(1900)
+    set_to(car, 'H', 2, 200)
+    servo(1700)
+    car.send(STEERING, struct.pack('<H', 1000))
+    servo(1300)
+    set_to(car, 'H', 2, 9000, used=500)
+    servo(1000)
+
+
+@pytest.mark.parametrize('rate', [1, 30, 99])
+def test_the_car_sends_as_many_imu_packets_as_it_is_set_to(car, rate):
+    set_to(car, 'B', 3, rate)
+
+    def in_two_seconds():
+        car.forget()
+        car.board.wait_until(lambda: len(car.read(TICKS)) >= 200, 5)
+        return abs(len(car.read(IMU)) - 2 * rate) <= 2
+    assert again_if_stalled(in_two_seconds)
+
+
+def test_the_sensor_board_has_another_period_and_forgets_it_at_a_reset(sensors):
+    board = sensors.board
+    sensors.settings = []
+    sensors.port.write(mcu_frame(MCU_SETTING, 0, struct.pack('<BH', 1, 100)))
+    board.wait_until(lambda: sensors.read() and sensors.settings, 1)
+    assert sensors.settings[0] == struct.pack('<BH', 1, 100)
+
+    def period():
+        sensors.next(1)
+        start = board.time
+        sensors.next(10)
+        return (board.time - start) / 10
+
+    def is_longer():
+        return period() == pytest.approx(0.1, rel=0.1)
+    assert again_if_stalled(is_longer)
+    board.reset()
+    sensors.forget_a_cut_frame()
+    sensors.settings = []
+
+    def is_as_before():
+        return period() == pytest.approx(0.05, rel=0.1)
+    assert again_if_stalled(is_as_before)
+    board.wait_until(lambda: sensors.read() and len(sensors.settings) >= 2, 3)
+    assert {struct.unpack('<BH', data) for data in sensors.settings} == {(1, 50), (2, 200)}
+
+
+def test_the_sensor_board_times_out_when_it_is_set_to(sensors):
+    board = sensors.board
+    sensors.port.write(mcu_frame(MCU_SETTING, 0, struct.pack('<BH', 2, 1000)))
+    board.wait_until(lambda: sensors.read() and struct.pack('<BH', 2, 1000) in sensors.settings, 1)
+    board.set('range1_alive', 0)
+    start = board.time
+    board.wait_until(lambda: sensors.next()[0][1] == 0xFFFF, 2)
+    assert 0.9 < board.time - start < 1.2
