@@ -14,6 +14,7 @@ packages() {
 # need | Debian 12                                   | Ubuntu 20.04 with /opt/ros/noetic
 run    | ros-core-python-dev rosbash catkin          | ros-noetic-ros-core
 run    | python3-tf2-ros python3-diagnostic-updater  | ros-noetic-tf2-ros ros-noetic-diagnostic-updater
+run    | python3-dynamic-reconfigure                 | ros-noetic-dynamic-reconfigure
 run    | python3-serial socat cmake make g++         | python3-serial socat cmake make g++
 panel  | python3-tornado python3-qrcode              | python3-tornado python3-qrcode
 test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-noetic-rosbag
