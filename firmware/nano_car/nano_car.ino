@@ -11,11 +11,11 @@
 #include "imu.h"
 
 // Numbers that the bridge may change while the program runs. None of them delays a stop.
-//      number, variable, layout, value at the start, minimum, maximum, unit, description
-#define SETTINGS(SETTING)                                                                     \
-  SETTING(1, motor_ramp, H, 0, 0, 2000, "ms", "time in which the speed rises from 0 to 1000") \
-  SETTING(2, steering_range, H, 500, 50, 500, "us", "of the servo, to each side of 1500 us")  \
-  SETTING(3, imu_rate, B, 100, 1, 100, "Hz", "IMU packets")
+//      number, variable, type, value at the start, minimum, maximum, unit, description
+#define SETTINGS(SETTING)                                                                            \
+  SETTING(1, motor_ramp, uint16_t, 0, 0, 2000, "ms", "time in which the speed rises from 0 to 1000") \
+  SETTING(2, steering_range, uint16_t, 500, 50, 500, "us", "of the servo, to each side of 1500 us")  \
+  SETTING(3, imu_rate, uint8_t, 100, 1, 100, "Hz", "IMU packets")
 
 SETTINGS(SETTING_VARIABLE)
 static constexpr Setting kSettings[] PROGMEM = {SETTINGS(SETTING_ENTRY)};

@@ -15,10 +15,10 @@ static const uint32_t kRestartMs = 1000;
 
 // Numbers that the bridge may change while the program runs. A sensor ranges every 33 ms; without a measurement for
 // range_timeout it has timed out, and is started again.
-//      number, variable, layout, value at the start, minimum, maximum, unit, description
-#define SETTINGS(SETTING)                                                                    \
-  SETTING(1, frame_period, H, 50, 20, 500, "ms", "from one status frame to the next")        \
-  SETTING(2, range_timeout, H, 200, 100, 1000, "ms", "without a measurement: there is no range")
+//      number, variable, type, value at the start, minimum, maximum, unit, description
+#define SETTINGS(SETTING)                                                                               \
+  SETTING(1, frame_period, uint16_t, 50, 20, 500, "ms", "from one status frame to the next")            \
+  SETTING(2, range_timeout, uint16_t, 200, 100, 1000, "ms", "without a measurement: there is no range")
 
 SETTINGS(SETTING_VARIABLE)
 static constexpr Setting kSettings[] PROGMEM = {SETTINGS(SETTING_ENTRY)};

@@ -392,13 +392,13 @@ CASE_FOR_A_TEST(no_announcement) {
 
 // Settings
 
-#define SETTINGS(SETTING)                                              \
-  SETTING(1, gain, f, 0.5, 0, 10, "1/s", "a gain")                     \
-  SETTING(2, period, H, 20, 5, 60000, "ms", "a period")                \
-  SETTING(3, inverted, ?, 1, 0, 1, "", "whether it turns the other way")  \
-  SETTING(4, trim, b, -5, -100, 100, "", "")                           \
-  SETTING(5, position, i, 0, -2147483647, 16777217, "", "")            \
-  SETTING(200, mask, I, 7, 7, 4294967295, "", "")
+#define SETTINGS(SETTING)                                                   \
+  SETTING(1, gain, float, 0.5, 0, 10, "1/s", "a gain")                      \
+  SETTING(2, period, uint16_t, 20, 5, 60000, "ms", "a period")              \
+  SETTING(3, inverted, bool, 1, 0, 1, "", "whether it turns the other way") \
+  SETTING(4, trim, int8_t, -5, -100, 100, "", "")                           \
+  SETTING(5, position, int32_t, 0, -2147483647, 16777217, "", "")           \
+  SETTING(200, mask, uint32_t, 7, 7, 4294967295, "", "")
 SETTINGS(SETTING_VARIABLE)
 constexpr Setting settings[] = {SETTINGS(SETTING_ENTRY)};
 static const char setting_rows[] = "firmware: test 1.0\n" SETTINGS(SETTING_ROW);

@@ -239,9 +239,9 @@ WRONG = {
                              'at most 2048 bytes'),
     'announcement whose size is lost': ('const char* text = "a"; frames.announce(text);',
                                         'no matching function'),
-    'setting of another type': ('static uint16_t x; serial_communication::SettingOf<\'f\'>::entry('
+    'setting of another type': ('static uint16_t x; serial_communication::SettingOf<float>::entry('
                                 '1, &x, 0, 1);', 'cannot convert'),
-    'setting of an unknown layout': ('static double x; serial_communication::SettingOf<\'d\'>::entry('
+    'setting of an unknown layout': ('static double x; serial_communication::SettingOf<double>::entry('
                                      '1, &x, 0, 1);', 'incomplete type'),
     'too many settings': ('static Setting table[17] = {}; packets.settings(table);', 'at most 16 settings'),
     'settings whose number is lost': ('const Setting* table = 0; frames.settings(table);',

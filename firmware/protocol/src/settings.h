@@ -1,10 +1,10 @@
 // Settings: numbers of a sketch that the bridge changes while it runs, such as the gains of a controller. One list has
 // all of them; the variables, the rows that announce them and their table are made of it:
 
-/*        number, variable, layout, value at the start, minimum, maximum, unit, description
+/*        number, variable, type, value at the start, minimum, maximum, unit, description
      #define SETTINGS(SETTING)                                       \
-       SETTING(1, kp, f, 0.5, 0, 10, "1/s", "proportional gain")     \
-       SETTING(2, period, H, 20, 5, 1000, "ms", "between two packets")
+       SETTING(1, kp, float, 0.5, 0, 10, "1/s", "proportional gain") \
+       SETTING(2, period, uint16_t, 20, 5, 1000, "ms", "between two packets")
 */
 //   SETTINGS(SETTING_VARIABLE)                                     // float kp = 0.5; uint16_t period = 20;
 //   const char kRows[] PROGMEM = "firmware: tuned 1.0\n" SETTINGS(SETTING_ROW);
@@ -14,9 +14,9 @@
 //   bridge.settings(kSettings);              // or (kSettings, changed), with void changed(uint8_t number)
 //   bridge.update();                         // in loop(), often
 //
-// The layout is ? (bool), b, B, h, H, i, I (int8_t … uint32_t) or f (float), as in the rows of a configuration; the
-// numbers are plain ones, without a suffix, and the texts have no quotation marks, since the rows are YAML. A variable
-// may also be the sketch's own, without SETTING_VARIABLE; another type than its layout's does not compile.
+// The type is bool (without limits: 0, 1), int8_t, uint8_t, int16_t, uint16_t, int32_t, uint32_t or float. Numbers are
+// plain ones, without a suffix, and texts have no quotation marks, since the rows are YAML. A variable may also be the
+// sketch's own, without SETTING_VARIABLE; another type than that of the list does not compile.
 //
 // What arrives is limited, written to the variable with interrupts disabled, and answered with the value in use. All
 // settings are reported after the start, and then in turn, one each time a chunk of an announcement would be due.
@@ -74,32 +74,41 @@ bool set_setting(const Setting& setting, const uint8_t* received) {
   return true;
 }
 
-// T: the type of the variable; Raw: that of the wire; Wide: that of the limits.
+// The entry of a variable of type T. Raw: its type on the wire; Wide: that of its limits.
 template <class T, class Raw, class Wide>
 struct SettingAs {
-  typedef T Type;
   static constexpr Setting entry(uint8_t number, T* variable, Wide minimum, Wide maximum) {
     return {number, sizeof(T), variable, &set_setting<Raw>, minimum, maximum};
   }
 };
 
-template <char Layout> struct SettingOf;
-template <> struct SettingOf<'?'> : SettingAs<bool, uint8_t, uint32_t> {};
-template <> struct SettingOf<'b'> : SettingAs<int8_t, int8_t, int32_t> {};
-template <> struct SettingOf<'B'> : SettingAs<uint8_t, uint8_t, uint32_t> {};
-template <> struct SettingOf<'h'> : SettingAs<int16_t, int16_t, int32_t> {};
-template <> struct SettingOf<'H'> : SettingAs<uint16_t, uint16_t, uint32_t> {};
-template <> struct SettingOf<'i'> : SettingAs<int32_t, int32_t, int32_t> {};
-template <> struct SettingOf<'I'> : SettingAs<uint32_t, uint32_t, uint32_t> {};
-template <> struct SettingOf<'f'> : SettingAs<float, float, float> {};
+template <class T> struct SettingOf;
+template <> struct SettingOf<bool> : SettingAs<bool, uint8_t, uint32_t> {};
+template <> struct SettingOf<int8_t> : SettingAs<int8_t, int8_t, int32_t> {};
+template <> struct SettingOf<uint8_t> : SettingAs<uint8_t, uint8_t, uint32_t> {};
+template <> struct SettingOf<int16_t> : SettingAs<int16_t, int16_t, int32_t> {};
+template <> struct SettingOf<uint16_t> : SettingAs<uint16_t, uint16_t, uint32_t> {};
+template <> struct SettingOf<int32_t> : SettingAs<int32_t, int32_t, int32_t> {};
+template <> struct SettingOf<uint32_t> : SettingAs<uint32_t, uint32_t, uint32_t> {};
+template <> struct SettingOf<float> : SettingAs<float, float, float> {};
 
-#define SETTING_VARIABLE(number, variable, layout, initial, minimum, maximum, unit, description) \
-  serial_communication::SettingOf<#layout[0]>::Type variable = initial;
-#define SETTING_ROW(number, variable, layout, initial, minimum, maximum, unit, description)    \
-  #variable ": {setting: " #number ", layout: '<" #layout "', minimum: " #minimum ", maximum: " \
-  #maximum ", unit: '" unit "', description: '" description "'}\n"
-#define SETTING_ENTRY(number, variable, layout, initial, minimum, maximum, unit, description) \
-  serial_communication::SettingOf<#layout[0]>::entry(number, &variable, minimum, maximum),
+#define SETTING_VARIABLE(number, variable, type, initial, minimum, maximum, unit, description) \
+  type variable = initial;
+#define SETTING_ROW(number, variable, type, initial, minimum, maximum, unit, description)      \
+  #variable ": {setting: " #number ", layout: '<" SETTING_LAYOUT_##type(minimum, maximum)      \
+  ", unit: '" unit "', description: '" description "'}\n"
+#define SETTING_ENTRY(number, variable, type, initial, minimum, maximum, unit, description) \
+  serial_communication::SettingOf<type>::entry(number, &variable, minimum, maximum),
+
+// The layout and the limits in a row.
+#define SETTING_LAYOUT_bool(minimum, maximum) "?'"
+#define SETTING_LAYOUT_int8_t(minimum, maximum) "b', minimum: " #minimum ", maximum: " #maximum
+#define SETTING_LAYOUT_uint8_t(minimum, maximum) "B', minimum: " #minimum ", maximum: " #maximum
+#define SETTING_LAYOUT_int16_t(minimum, maximum) "h', minimum: " #minimum ", maximum: " #maximum
+#define SETTING_LAYOUT_uint16_t(minimum, maximum) "H', minimum: " #minimum ", maximum: " #maximum
+#define SETTING_LAYOUT_int32_t(minimum, maximum) "i', minimum: " #minimum ", maximum: " #maximum
+#define SETTING_LAYOUT_uint32_t(minimum, maximum) "I', minimum: " #minimum ", maximum: " #maximum
+#define SETTING_LAYOUT_float(minimum, maximum) "f', minimum: " #minimum ", maximum: " #maximum
 
 // The settings of a link.
 class SettingsTable {

@@ -7,11 +7,11 @@
 #include <safe_board.h>
 #include <util/atomic.h>
 
-//      number, variable, layout, value at the start, minimum, maximum, unit, description
-#define SETTINGS(SETTING)                                            \
-  SETTING(1, kp, f, 4, 0, 200, "PWM/(turn/s)", "proportional gain")  \
-  SETTING(2, ki, f, 20, 0, 1000, "PWM/turn", "integral gain")        \
-  SETTING(3, kd, f, 0, 0, 20, "PWM/(turn/s^2)", "derivative gain")
+//      number, variable, type, value at the start, minimum, maximum, unit, description
+#define SETTINGS(SETTING)                                               \
+  SETTING(1, kp, float, 4, 0, 200, "PWM/(turn/s)", "proportional gain") \
+  SETTING(2, ki, float, 20, 0, 1000, "PWM/turn", "integral gain")       \
+  SETTING(3, kd, float, 0, 0, 20, "PWM/(turn/s^2)", "derivative gain")
 
 SETTINGS(SETTING_VARIABLE)
 constexpr Setting kSettings[] PROGMEM = {SETTINGS(SETTING_ENTRY)};
