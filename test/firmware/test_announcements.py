@@ -15,6 +15,7 @@ from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.announcement import (TYPE, Assembly, Chunk,
                                                        read_announcement)
 from serial_communication.framing.custom_messages import meaning
+from serial_communication.framing.settings import read_settings
 
 EXAMPLES = read_parameters(os.path.join(os.path.dirname(FIRMWARE), 'config',
                                         'custom_messages.yaml'))
@@ -108,7 +109,8 @@ def test_the_car_announces_the_example(firmware_build):
         firmware, rows = rows_in(text)
         assert firmware == 'nano_car 1.2.0'
         settings = {name: rows.pop(name) for name, row in list(rows.items()) if 'setting' in row}
-        assert set(settings) == {'motor_ramp', 'steering_range', 'imu_rate'}
+        assert [row.name for row in read_settings(settings, 'rows')] == [
+            'imu_rate', 'motor_ramp', 'steering_range']
         named = {name: EXAMPLES['arduino']['messages'][name] for name in ('force', 'gripper')}
         assert meanings(custom_messages(rows)) == meanings(custom_messages(named))
 

@@ -1,5 +1,8 @@
 """Settings of a sketch: what it answers, and when it reports them."""
+import ast
 import itertools
+import os
+import re
 import struct
 
 import pytest
@@ -8,6 +11,10 @@ from waiting import again_if_stalled
 
 from board_ends import (HEARTBEAT, IMU, MCU_SETTING, SETTING, SPEED, STEERING, TICKS, car_end,
                         packet)
+from compilers import ON_THE_AVR, PROTOCOL, run
+from emulated_board import FIRMWARE
+from serial_communication.framing.announcement import read_announcement
+from serial_communication.framing.settings import read_settings
 
 TARGET, WHEEL_SPEED = 32, 33         # messages of the example Tuning
 NUMBERS = [1, 2, 3, 4, 5, 200]      # those of library_cases.cpp, in the order of their table
@@ -21,6 +28,34 @@ def packets_of(output):
 
 def reports(packets):
     return [(ms, packet.data[0]) for ms, packet in packets if packet.type == SETTING]
+
+
+def test_the_rows_of_a_list_have_what_the_sketch_has(library_case):
+    announcement = read_announcement(library_case('print_setting_rows').encode())
+    assert announcement.problems == []
+    read = {row.name: (row.setting, row.code, row.minimum, row.maximum, row.unit, row.description)
+            for row in read_settings(announcement.rows, 'rows')}
+    assert read == {
+        'gain': (1, 'f', 0, 10, '1/s', 'a gain'), 'period': (2, 'H', 5, 60000, 'ms', 'a period'),
+        'inverted': (3, '?', 0, 1, '', 'whether it turns the other way'),
+        'trim': (4, 'b', -100, 100, '', ''), 'mask': (200, 'I', 7, 2 ** 32 - 1, '', ''),
+        'position': (5, 'i', 1 - 2 ** 31, 16777217, '', '')}
+
+
+@pytest.mark.parametrize('sketch', ['nano_car/nano_car', 'range_imu/range_imu',
+                                    'protocol/examples/Tuning/Tuning'])
+def test_the_rows_of_a_sketch_are_valid(sketch, tmp_path):
+    """By the preprocessor, which makes one text of its rows."""
+    source = os.path.join(FIRMWARE, sketch + '.ino')
+    status, output = run([*ON_THE_AVR, '-std=gnu++11', '-E', '-P', '-x', 'c++', '-I', PROTOCOL,
+                          '-include', 'Arduino.h', source])
+    assert status == 0, output
+    literal = re.search(r'kRows\[\].*?= *(.*?);\n', output, re.S).group(1)
+    announcement = read_announcement(ast.literal_eval(f'({literal})').encode())
+    assert announcement.problems == [] and announcement.firmware
+    settings = {name: row for name, row in announcement.rows.items() if 'setting' in row}
+    read = read_settings(settings, 'rows')
+    assert len(read) >= 2 and all(row.unit and row.description for row in read)
 
 
 def test_settings_are_reported_after_the_start_and_then_in_turn(library_case):
