@@ -18,6 +18,8 @@ run    | python3-dynamic-reconfigure                 | ros-noetic-dynamic-reconf
 run    | python3-serial socat cmake make g++         | python3-serial socat cmake make g++
 panel  | python3-tornado python3-qrcode              | python3-tornado python3-qrcode
 test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-noetic-rosbag
+# With the package.xml by which rosrun finds dynparam:
+test   | libdynamic-reconfigure-config-init-mutex-dev |
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
 test   | shellcheck libxml2-utils systemd            | shellcheck libxml2-utils systemd

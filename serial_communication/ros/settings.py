@@ -21,9 +21,9 @@ from .parameter import ParameterError
 try:
     from dynamic_reconfigure.encoding import encode_config, encode_description, get_tree
     from dynamic_reconfigure.msg import Config, ConfigDescription
-    from dynamic_reconfigure.srv import Reconfigure, ReconfigureResponse
+    from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 except ImportError:
-    Config = None
+    Config = Reconfigure = None
 
 PARAMETER = 'settings'     # of the node: values by link and name
 _ANSWER = 0.48             # s that a call waits for the board
@@ -162,6 +162,18 @@ class SettingsServer:
                 value = wanted
             values[row.name] = _type(row)(row.default if value is None else value)
         return encode_config({**values, 'groups': get_tree(_description(rows))})
+
+
+def request_of(row: Setting, value: Any) -> Any:
+    """Return the request that sets one setting; ValueError for a value that is not allowed."""
+    return ReconfigureRequest(encode_config({row.name: _type(row)(row.checked(value))}))
+
+
+def value_in(response: Any, row: Setting) -> Any:
+    """Return the value of a setting in a response; None if it is not there."""
+    config = response.config
+    return next((each.value for each in (*config.bools, *config.ints, *config.doubles)
+                 if each.name == row.name), None)
 
 
 def _type(row: Setting) -> type:

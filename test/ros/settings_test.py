@@ -7,8 +7,6 @@ import sys
 import unittest
 
 import dynamic_reconfigure.client
-import rosgraph
-import roslib.packages
 import rospy
 import rostest
 import yaml
@@ -26,6 +24,7 @@ ROWS = {
            'description': 'proportional gain'},
     'ramp': {'setting': 2, 'layout': '<H', 'maximum': 1000, 'unit': 'ms'},
     'reverse': {'setting': 3, 'layout': '<?'},
+    'rate': {'setting': 4, 'layout': '<I'},      # which no test sets
 }
 KIND = message_of(read_settings(ROWS))
 GAIN = 'gain: {setting: 7, layout: "<B", minimum: 1, maximum: 9}\n'
@@ -41,7 +40,7 @@ class TunableCar(CarBoard):
 
     def start_again(self):
         """As after a reset."""
-        self.values = {1: 1.0, 2: 100, 3: False}
+        self.values = {1: 1.0, 2: 100, 3: False, 4: 50}
 
     def take(self, frame):
         super().take(frame)
@@ -115,7 +114,7 @@ class SettingsTest(unittest.TestCase):
     def test_a_set_returns_what_the_board_confirmed(self):
         values = self.client.update_configuration({'kp': 2.2, 'reverse': True})
         self.assertEqual((values.kp, values.reverse, values.ramp), (2.2, True, 250))
-        self.assertEqual(self.car.settings(), [(1, 2.2), (3, True)])
+        self.assertEqual(set(self.car.settings()), {(1, 2.2), (3, True)})
         until(lambda: rospy.get_param(NAME + '/kp', None) == 2.2, 'the parameter')
         self.assertFalse(rospy.has_param(NAME + '/nothing'))
 
@@ -148,21 +147,20 @@ class SettingsTest(unittest.TestCase):
         until(lambda: (self.car.values[1], self.car.values[2]) == (3.5, 250), 'both are back')
 
     def test_a_change_by_the_board_is_shown_where_nothing_is_wanted(self):
-        bridge_values = self.car.values
-        if rospy.get_param(NAME + '/reverse', None) is None:
-            bridge_values[3] = True
-            self.car.report(3)
-            self.configuration(lambda values: values.reverse)
-            self.assertNotIn(3, [number for number, _ in self.car.settings()])
+        self.car.values[4] = 9
+        self.car.report(4)
+        self.configuration(lambda values: values.rate == 9)
+        self.assertNotIn(4, [number for number, _ in self.car.settings()])
 
     def test_dynparam(self):
-        dynparam = roslib.packages.find_node('dynamic_reconfigure', 'dynparam') or \
-            ['/usr/lib/dynamic_reconfigure/dynparam']
-        subprocess.check_call([dynparam[0], 'set', NAME, 'kp', '4.5'], timeout=60)
+        def dynparam(*arguments):
+            return subprocess.check_output(['rosrun', 'dynamic_reconfigure', 'dynparam',
+                                            *arguments], timeout=60).decode()
+
+        dynparam('set', NAME, 'kp', '4.5')
         self.assertEqual(self.car.values[1], 4.5)
-        out = subprocess.check_output([dynparam[0], 'get', NAME], timeout=60)
-        self.assertIn(b'4.5', out)
-        self.assertIn(NAME, subprocess.check_output([dynparam[0], 'list'], timeout=60).decode())
+        self.assertIn("'kp': 4.5", dynparam('get', NAME))
+        self.assertIn(NAME, dynparam('list').splitlines())
 
     def test_settings_come_and_go_with_an_announcement(self):
         before = set(self.client.get_configuration()) - {'groups'}
@@ -232,7 +230,7 @@ class OtherBridges(unittest.TestCase):
         car = TunableCar(line.far)
         self.addCleanup(car.close)
         master = Master().start()
-        self.addCleanup(master.stop)
+        self.addCleanup(master.end)
         self.bridge({'arduino/port': line.near, 'arduino/settings': ROWS}, master=master.uri)
         set_kp = [sys.executable, '-c', (
             'import rospy, sys\n'
@@ -248,7 +246,7 @@ class OtherBridges(unittest.TestCase):
 
         self.assertEqual(answer(2.0), 2.0)
         until(lambda: master.server.hasParam('/other/settings/arduino/kp'), 'it is set')
-        master.stop()
+        master.end()
         master.start()
         until(lambda: master.server.hasParam('/other/settings/arduino/kp'), 'it is set again')
         self.assertEqual(master.server.getParam('/other/settings/arduino/kp'), 2.0)
@@ -279,5 +277,4 @@ class OtherBridges(unittest.TestCase):
 
 if __name__ == '__main__':
     rospy.init_node('settings_test')
-    rostest.rosrun(PACKAGE, 'settings', SettingsTest, sys.argv)
-    rostest.rosrun(PACKAGE, 'settings_others', OtherBridges, sys.argv)
+    rostest.rosrun(PACKAGE, 'settings', __name__)
