@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from board_ends import HEARTBEAT, IMU, OK, TICKS, car_end, comes_at, error, master_end
+from board_ends import IMU, OK, TICKS, car_end, comes_at, error, master_end
 from emulated_board import FIRMWARE
 from serial_communication.boards.arduino import custom_messages
 from serial_communication.boards.arduino import wire as arduino

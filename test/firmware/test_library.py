@@ -239,11 +239,13 @@ WRONG = {
                              'at most 2048 bytes'),
     'announcement whose size is lost': ('const char* text = "a"; frames.announce(text);',
                                         'no matching function'),
-    'setting of another type': ('static uint16_t x; serial_communication::SettingOf<float>::entry('
-                                '1, &x, 0, 1);', 'cannot convert'),
-    'setting of an unknown layout': ('static double x; serial_communication::SettingOf<double>::entry('
-                                     '1, &x, 0, 1);', 'incomplete type'),
-    'too many settings': ('static Setting table[17] = {}; packets.settings(table);', 'at most 16 settings'),
+    'setting of another type': ('static uint16_t x; static const Setting table[] = {'
+                                'SETTING_ENTRY(1, x, float, 0, 0, 1, "", "")};', 'cannot convert'),
+    'setting of an unknown type': ('static double x; static const Setting table[] = {'
+                                   'SETTING_ENTRY(1, x, double, 0, 0, 1, "", "")};',
+                                   'incomplete type'),
+    'too many settings': ('static Setting table[17] = {}; packets.settings(table);',
+                          'at most 16 settings'),
     'settings whose number is lost': ('const Setting* table = 0; frames.settings(table);',
                                       'no matching function'),
     'unpacked request': ('bus.on<Wide>(40, ask_wide);', 'has to be PACKED'),

@@ -125,9 +125,9 @@ def test_a_list_has_the_settings_with_their_limits_and_what_the_file_wants(tmp_p
         'arduino': {'kp': 2.2, 'inverted': True}}}))
     lines = output(tmp_path, made(path), '''
         #define SETTING_VARIABLE(number, variable, type, initial, ...) type variable = initial;
-        #define SETTING_LINE(number, variable, type, initial, minimum, maximum, unit, description) \\
+        #define SETTING_LINE(number, variable, type, initial, minimum, maximum, unit, what) \\
             printf("%d_%s_%s_%g_%g_%g_%s_", number, #variable, #type, double(variable), \\
-                   double(minimum), double(maximum), unit); show(description);
+                   double(minimum), double(maximum), unit); show(what);
         SETTINGS(SETTING_VARIABLE)
         SETTINGS(SETTING_LINE)''')
     assert lines == [

@@ -83,8 +83,8 @@ struct __attribute__((packed)) BigEndian {
 _SETTINGS = """\
 // Settings: numbers that the bridge changes while the sketch runs. With this package's library:
 //
-//   SETTINGS(SETTING_VARIABLE)                                            // the variables
-//   constexpr Setting kSettings[] PROGMEM = {{SETTINGS(SETTING_ENTRY)}};    // for bridge.settings()
+//   SETTINGS(SETTING_VARIABLE)                                          // the variables
+//   constexpr Setting kSettings[] PROGMEM = {{SETTINGS(SETTING_ENTRY)}};  // for bridge.settings()
 //
 // Number, variable, type, value at the start, minimum, maximum, unit, description.
 #define SETTINGS(SETTING) \\
