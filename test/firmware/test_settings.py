@@ -1,6 +1,5 @@
 """Settings of a sketch: what it answers, and when it reports them."""
 import ast
-import itertools
 import os
 import re
 import struct
@@ -9,14 +8,13 @@ import pytest
 from by_definition import ANNOUNCEMENT, arduino_at, mcu_at, mcu_frame
 from waiting import again_if_stalled
 
-from board_ends import (HEARTBEAT, IMU, MCU_SETTING, SETTING, SPEED, STEERING, TICKS, car_end,
-                        packet)
+from board_ends import IMU, MCU_SETTING, SETTING, SPEED, STEERING, TICKS, car_end, packet
 from compilers import ON_THE_AVR, PROTOCOL, run
 from emulated_board import FIRMWARE
 from serial_communication.framing.announcement import read_announcement
 from serial_communication.framing.settings import read_settings
+from wheel import hold, response, rise, set_to, target
 
-TARGET, WHEEL_SPEED = 32, 33         # messages of the example Tuning
 NUMBERS = [1, 2, 3, 4, 5, 200]      # those of library_cases.cpp, in the order of their table
 
 
@@ -95,58 +93,18 @@ def test_an_answer_waits_for_room_and_all_are_given(library_case):
 # The sketches, on the emulated chip
 
 
-def set_to(car, layout, number, value, used=None):
-    """Set one, as the bridge does; wait until the board reports that it uses it, or `used`."""
-    car.forget()
-    car.send(SETTING, struct.pack('<B' + layout, number, value))
-    report = struct.pack('<B' + layout, number, value if used is None else used)
-    car.board.wait_until(lambda: report in car.read(SETTING), 2)
-
-
-def hold(car, command, seconds):
-    """Send a command and a heartbeat every 10 ms of the wire, in time however busy this machine is.
-
-    Empty packets fill the gaps: the emulated line takes one byte after the other at its speed.
-    """
-    packets = command + packet(HEARTBEAT)
-    beat = bytes(115 - len(packets)) + packets
-    end = car.board.get('rx_bytes') + 1150 * round(10 * seconds)
-    for _ in range(round(10 * seconds)):
-        car.port.write(10 * beat)
-        car.read()
-    car.board.wait_until(lambda: car.read() or car.board.get('rx_bytes') >= end, seconds + 1)
-
-
-def target(turns):
-    return packet(TARGET, struct.pack('<f', turns))
-
-
-def speeds(car):
-    return [struct.unpack('<f', data)[0] for data in car.read(WHEEL_SPEED)]
-
-
-def response(car):
-    """Of the wheel to a step from 0 to 8 turns/s: seconds to 90 % of it, the greatest speed."""
-    hold(car, target(0), 2)
-    car.forget()
-    hold(car, target(8), 4)
-    found = list(itertools.dropwhile(lambda speed: speed == 0, speeds(car)))
-    rise = len(list(itertools.takewhile(lambda speed: speed < 7.2, found)))
-    return 0.01 * rise, max(found)
-
-
 def test_gains_that_are_set_over_the_wire_change_the_step_response(firmware_build):
     with car_end(firmware_build, image='Tuning.elf') as car:
         def slow():
-            rise, greatest = response(car)
-            return 1.5 < rise < 2.5 and greatest < 8.5
+            found = response(car, 4)
+            return 1.5 < rise(found) < 2.5 and max(found) < 8.5
 
         def quick():
-            rise, greatest = response(car)
-            return 0.1 < rise < 0.25 and greatest < 9
+            found = response(car, 2)
+            return 0.1 < rise(found) < 0.25 and max(found) < 9
 
         def overshoots():
-            return response(car)[1] > 9.2
+            return max(response(car, 2)) > 9.2
         assert again_if_stalled(slow)
         set_to(car, 'f', 1, 40)
         set_to(car, 'f', 2, 200)
@@ -186,7 +144,7 @@ def test_the_motor_stops_without_heartbeats_and_waits_for_a_new_target(firmware_
 
 
 def test_the_ramp_of_the_car_delays_a_rise_and_no_stop(car):
-    def rise():
+    def climb():
         """Seconds from PWM 100 to 255, of the latest rise."""
         hold(car, packet(SPEED, struct.pack('<h', 0)), 0.2)
         hold(car, packet(SPEED, struct.pack('<h', 1000)), 1)
@@ -194,12 +152,12 @@ def test_the_ramp_of_the_car_delays_a_rise_and_no_stop(car):
         return changes[255] - changes.get(100, changes[255])
 
     def is_at_once():
-        return rise() == 0
+        return climb() == 0
     assert again_if_stalled(is_at_once)
     set_to(car, 'H', 1, 500)
 
     def ramps():
-        return rise() == pytest.approx(0.5 * 155 / 255, rel=0.03)
+        return climb() == pytest.approx(0.5 * 155 / 255, rel=0.03)
     assert again_if_stalled(ramps)
     assert stops_in_time(car) == 255
     set_to(car, 'H', 1, 60000, used=2000)
