@@ -10,7 +10,7 @@ from typing import Any, Dict, Iterator, NamedTuple, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
-from . import exact_bus, exact_car, exact_data, exact_faults, exact_node
+from . import exact_bus, exact_car, exact_data, exact_faults, exact_node, exact_settings
 from .lines import NetworkLine
 from .requirements import Table
 from .rig import NAMES, Rig, Scenario
@@ -33,7 +33,7 @@ class Group(NamedTuple):
 
 GROUPS = (
     Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
-           *exact_node.SERIAL), events=(
+           *exact_node.SERIAL, exact_settings.no_rows), events=(
         'arduino: .* refused: .*clos', 'arduino: .* refused: its stamp',
         'arduino: .* refused: .*latches', 'arduino: .* refused: .*old connection',
         'arduino: .* refused: .*calibrates', 'arduino: LED .*refused', 'arduino: .*stalled for',
@@ -45,6 +45,7 @@ GROUPS = (
         'bus: out of step', 'bus: no reply to', 'bus: the board does not answer ECHO',
         'mcu: .*silent', 'mcu: .* back', '(?s)open.*open.*open')),
     Group((exact_node.killed,)),
+    Group(exact_settings.SERIAL, exact_settings.PARAMETERS),
     Group((exact_bus.polls, exact_bus.announced), exact_node.POLLING),
     Group((exact_node.ends,)),
     Group((*exact_faults.NETWORK, exact_node.ends), network=True))
