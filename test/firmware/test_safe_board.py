@@ -7,12 +7,13 @@ import struct
 import pytest
 
 from board_ends import (
-    CALIBRATION, GRIPPER, LED, LIFT, OK, PUMP, SPEED, STEERING, UP, WARN, Car, Frames, Master,
+    CALIBRATION, GRIPPER, HEARTBEAT, LED, LIFT, OK, PUMP, SPEED, STEERING, UP, WARN, Car, Frames, Master,
     drive_until, driving, packet, request,
 )
 from emulated_board import FIRMWARE, EmulatedBoard
 from test_motor_stop import ROUNDS, print_times
 from waiting import again_if_stalled
+from wheel import TARGET
 
 DOOR = 0x33    # function of the example Slave
 
@@ -32,6 +33,18 @@ def sending(board):
 def motor(board):
     car = Car(board)
     drive_until(car, 700, lambda: board.get('motor_pwm') > 0)
+    return ('motor_pwm',)
+
+
+def wheel(board):
+    car = Car(board)
+
+    def runs():
+        car.port.write(packet(TARGET, struct.pack('<f', 8)) + packet(HEARTBEAT))
+        car.read()
+        return board.get('motor_pwm') > 0
+
+    board.wait_until(runs, 2)
     return ('motor_pwm',)
 
 
@@ -79,6 +92,7 @@ def pump_and_door(board):
 IMAGES = {
     'nano_car': ('car', motor), 'nano_car_emulated': ('car', motor),
     'nano_car_custom': ('car', motor_and_gripper), 'Car': ('car', motor),
+    'Tuning': ('car', wheel),
     'ctrl_board': ('ctrl', lift), 'ctrl_board_slow': ('ctrl', lift),
     'ctrl_board_custom': ('ctrl', pump), 'Slave': ('ctrl', pump_and_door),
     'range_imu': ('range', sending), 'Hello': ('car', nothing), 'Sensor': ('range', nothing),

@@ -21,6 +21,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1] / 'ros'), str(Path(__fil
 
 import panel_helpers  # noqa: E402
 import stamps_picture  # noqa: E402
+import tuning_picture  # noqa: E402
 from boards import Bridge, Line, program  # noqa: E402
 from panel_browser import Browser  # noqa: E402
 
@@ -216,6 +217,7 @@ def main():
     browser = Browser()
     with tempfile.TemporaryDirectory(prefix='pictures_') as folder:
         try:
+            tuning_picture.make(out)
             take_stamps(browser, Path(folder), out)
             take_intact(browser, Path(folder), out)
             take_faulty(browser, Path(folder), out)
