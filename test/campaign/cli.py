@@ -11,7 +11,7 @@ from typing import Any, Dict, Iterator, NamedTuple, Sequence, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
-from . import exact_bus, exact_car, exact_data, exact_faults, exact_node
+from . import exact_bus, exact_car, exact_data, exact_faults, exact_node, exact_settings
 from .lines import NetworkLine
 from .requirements import Table
 from .rig import NAMES, Rig, Scenario
@@ -35,8 +35,9 @@ class Group(NamedTuple):
 
 GROUPS = (
     Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
-           *exact_node.SERIAL), events=_LOG_LINES.read_text().splitlines()),
+           *exact_node.SERIAL, exact_settings.no_rows), events=_LOG_LINES.read_text().splitlines()),
     Group((exact_node.killed,)),
+    Group(exact_settings.SERIAL, exact_settings.PARAMETERS),
     Group((exact_bus.polls, exact_bus.announced), exact_node.POLLING),
     Group((exact_node.ends,)),
     Group((*exact_faults.NETWORK, exact_node.ends), network=True))

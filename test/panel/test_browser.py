@@ -4,6 +4,7 @@ import math
 import os
 import re
 import shutil
+import struct
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -26,7 +27,8 @@ from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand, 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.srv import Lift, LiftResponse
+from serial_communication.framing.settings import SettingMessage
+from serial_communication.srv import Lift, LiftResponse, Release
 from serial_communication.tools.watch.topics import TOPICS
 
 if not shutil.which('chromedriver') and os.path.isdir('/opt/ros/noetic'):
@@ -206,10 +208,18 @@ def test_a_heartbeat_gap_is_marked_until_it_is_over_and_dropped_bytes_are_shown(
     card = '[data-link="arduino"]'
     marked = card + ' dd[data-too-long]'
     wait_for_attribute(page, card, 'data-health', 'ok')
+    page.script("""      // for a second only, so the page notes it itself
+        const card = document.querySelector(arguments[0]);
+        window.shown = [];
+        new MutationObserver(() => shown.push(
+            [card.querySelector('.summary').textContent,
+             document.querySelectorAll(arguments[1]).length])).observe(
+            card, {subtree: true, childList: true, attributes: true});""", card, marked)
     with suspended(robot.bridge.process.pid):
         threading.Event().wait(0.5)      # a stall, whose backlog is dropped
-    page.wait(lambda page: 'heartbeat gap of' in page.text(card + ' .summary')
-              and len(page.all(marked)) == 1, 'the gap is shown and marked')
+    page.wait(lambda page: any('heartbeat gap of' in summary and marks == 1
+                               for summary, marks in page.script('return shown')),
+              'the gap is shown and marked')
     page.wait(lambda page: re.search(r'stale\s+[1-9][0-9]* bytes', page.text(card + ' .facts')),
               'the dropped bytes are counted')
     page.wait(lambda page: page.attribute(card, 'data-health') == 'ok' and page.all(marked) == []
@@ -634,7 +644,7 @@ def test_a_control_is_disabled_until_its_call_is_answered(control_page, robot):
         press(control_page, down, lambda page: robot.lift_requests and page.all(down + ':enabled')
               and page.attribute(answer, 'data-outcome') == 'not known', 'the outcome is not known')
         assert 'not known' in control_page.text(answer + ' .outcome')
-        assert 'look before you repeat it' in control_page.text(answer)
+        assert 'check the robot before you repeat it' in control_page.text(answer)
         assert len(robot.lift_requests) == 1
         return control_page.script('return window.wereDisabled')
     again_if_stalled(disabled_meanwhile)
@@ -676,6 +686,39 @@ def test_a_custom_command_is_a_form_with_its_limits(control_page, robot):
     wait_for_answer(control_page, 'gripper -2.5 50 3 sent')
 
 
+def test_a_setting_is_a_form_with_a_slider_beside_the_boards_own_value(control_page, robot):
+    form = '[data-service="~settings/arduino/kp"] '
+    number, slider = form + 'input[type=number]', form + 'input[type=range]'
+
+    def report(value):
+        robot.car.write(arduino.encode_raw(253, b'\1' + struct.pack('<f', value)))
+
+    def value_of(selector):
+        text = control_page.script(f"return document.querySelector('{selector}').value")
+        return float(text or -1)
+
+    def drag(value):
+        control_page.script(
+            "const [slider, value] = [document.querySelector(arguments[0]), arguments[1]];"
+            "slider.value = value; slider.dispatchEvent(new Event('input'));"
+            "slider.dispatchEvent(new Event('change'))", slider, value)
+
+    report(1.5)
+    control_page.wait_for_text(form + '.board-value', '1.5')
+    control_page.wait(lambda page: (value_of(number), value_of(slider)) == (1.5, 1.5), 'both')
+    assert 'proportional gain' in control_page.text(form)
+    assert '1/s' in control_page.text(form + 'label')
+    control_page.wait(lambda page: page.all(form + 'button:enabled'), 'it can be set')
+    drag(2.5)
+    wanted = 1, tuple(struct.pack('<f', 2.5))
+    until(lambda: wanted in [tuple(each) for each in robot.car.messages(SettingMessage)],
+          'the car gets it')
+    report(2.5)
+    wait_for_answer(control_page, 'arduino: kp 2.5 done')
+    control_page.wait_for_text(form + '.board-value', '2.5')
+    assert value_of(number) == 2.5
+
+
 def test_a_page_that_only_looks_says_so_and_how_to_get_commands(page):
     page.wait(lambda page: 'This page only looks' in page.text('#card-commands'), 'it is shown')
     text = page.text('#card-commands')
@@ -703,6 +746,29 @@ def test_calibration_needs_a_confirmation(control_page, robot):
         robot.sends = True
     control_page.wait(lambda page: page.text('[data-service="~calibrate_imu"] .words') == '',
                       'the calibration is over')
+
+
+def test_a_reset_is_asked_for_and_a_lent_link_takes_no_command(control_page, robot):
+    reset = '[data-service="~arduino/reset"] '
+    control_page.click(reset + 'button')
+    control_page.wait(lambda page: page.all(reset + 'dialog[open]'), 'the dialog is open')
+    assert 'The car stops' in control_page.text(reset + 'dialog')
+    control_page.click(reset + 'dialog button:last-of-type')
+    assert not any('reset' in each for each in control_page.texts('.answers li'))
+    press(control_page, reset + 'button',
+          lambda page: 'reset the car refused' in ''.join(page.texts('.answers li')[:1]),
+          'a pseudo terminal has no line for it',
+          lambda button: (control_page.click(button), control_page.click(reset + 'dialog button')))
+    assert 'has no control lines' in control_page.text('.answers li')
+    release = rospy.ServiceProxy(NODE + '/arduino/release', Release)
+    assert release('me', 10.0).success
+    try:
+        control_page.wait_for_text(reset + '.reason', 'the arduino link is lent to me')
+        assert not control_page.all(reset + 'button')[0].is_enabled()
+        assert control_page.texts('[data-service="~mcu/reset"] .reason') == ['']
+    finally:
+        release('me', 0.0)
+    control_page.wait_for_text(reset + '.reason', '')
 
 
 def test_text_for_the_led_is_sent_and_the_reply_of_a_function_shown_field_by_field(control_page,
@@ -1118,7 +1184,7 @@ def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
 
 
 def test_the_page_needs_the_token_once(chromium, control_panel, panel):
-    chromium.open(control_panel.url)
+    chromium.open(control_panel.url.split('#')[0])
     chromium.script('localStorage.clear()')
     chromium.open('about:blank')
     chromium.open(control_panel.url.split('#')[0])
