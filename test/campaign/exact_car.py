@@ -214,11 +214,13 @@ def calibration(rig: Rig) -> None:
         rig.car.measure()           # the IMU packet that was on its way when it began
         drive.publish(28)
         rig.car.measure()           # after 1.5 s: it was in the network
-        drive.publish(43)
+        silent_until = time.monotonic() + 2.2
+        rig.diagnosed('arduino', 1, 'calibrating')
+        while time.monotonic() < silent_until:
+            drive.publish(1)
         rig.wait_beats(0.1)
         sent = rig.car.packets[at + 1:]
         required.check(not sent, f'{sent[:2]} were sent during it')
-        rig.diagnosed('arduino', 1, 'calibrating')
         rig.car.measure()
         over.check(drive.command_until_accepted(), '')
         said = [each.message.data for each in rig.robot.published['~imu/calibrating']]

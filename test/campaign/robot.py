@@ -132,6 +132,7 @@ TOPICS: Dict[str, Tuple[Any, ToKey]] = {
     'tf/mcu_imu_orientation': (None, _attitude),
     '~depth': (UInt32, _DATA), '~height': (UInt32, _DATA)}
 FRAMES = {'~imu': 'imu', '~imu/temperature': 'imu', 'mcu/imu': 'mcu_imu',
+          'tf/imu_orientation': 'imu', 'tf/mcu_imu_orientation': 'mcu_imu',
           'mcu/range_1': 'range_1', 'mcu/range_2': 'range_2', '~environment': 'base_link',
           '~environment/temperature': 'base_link', '~environment/humidity': 'base_link'}
 # The commands: class of the message, and its field.
@@ -201,7 +202,7 @@ class Robot:
         for each in message.transforms:
             topic, rotation = f'tf/{each.child_frame_id}', each.transform.rotation
             self.on_message(topic, Published(time.time(), each.header.stamp.to_sec(),
-                                             TOPICS[topic][1](rotation), message))
+                                             TOPICS[topic][1](rotation), each))
 
     def _receive_report(self, message: DiagnosticArray) -> None:
         for status in message.status:

@@ -16,7 +16,7 @@ from serial_communication.output import prepare_output
 from . import PACKAGE, Broken, all_broken
 
 _NODE = f"{sys.executable} -c 'from serial_communication.ros.node import main; main()'"
-_TIME = 200      # s that one of them may take at most
+_TIME = 400      # s that one of them may take at most: four tries
 
 
 def main() -> int:
