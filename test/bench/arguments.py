@@ -1,4 +1,4 @@
-"""Measures latency, jitter and CPU time of the bridge on this machine. Takes about eight minutes.
+"""Measures latency, jitter and CPU time of the bridge on this machine. Takes about ten minutes.
 
 The bench starts its own roscore, the bridge, boards behind pseudo terminals, and the references: a
 node that polls its port, a node that only publishes, and with --against the bridge of another

@@ -79,12 +79,13 @@ def measure(build: str, seconds: float, batch: float) -> Dict[str, List[float]]:
         link.start()
         try:
             until(lambda: len(found) >= (_LEARN + seconds) * 100, 'the car has sent', 60)
+            has_stalled = board.ask('get origin') != origin
         finally:
             link.stop()
             link.join()
             if adapter:
                 adapter.close()
-        if board.ask('get origin') != origin:
+        if has_stalled:
             return {'read': [], 'board': [], 'distance': []}
     found = [(float(origin) + ticks * 1e-6, *stamps) for ticks, *stamps in found]
     stamps = [stamp - at for at, _, stamp in found[round(_LEARN * 100):]]
