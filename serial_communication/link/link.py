@@ -11,6 +11,7 @@ from .connection import Connection
 from .lending import Lending
 from .outcome import Refused  # noqa: F401  for the boards
 from .presence import SILENCE, STARTUP_TIME, PresenceLog
+from .settings import BoardSettings
 from .sparing_log import SparingLog
 from .stamps import Stamps
 from .unknown_bytes import OtherBoard, UnknownBytes
@@ -69,6 +70,9 @@ class Link:
         self.unknown_bytes = UnknownBytes(
             (other for other in other_boards if other.name != name), port.baud, self.PRINT_TO)
         self.stamps = Stamps(port, earlier, self.log, board_time)
+        takes_rows: Any = decoder      # that of a board with settings
+        self.board_settings = BoardSettings(
+            self.log, lambda kind: takes_rows.add_message(kind), lambda: self.wake())
         self.connection = Connection(self, frame_timeout, clock)
         self.lending = Lending(port, self.connection.wake, self.connection.may_be_from_a_stall)
         self._clock = clock
@@ -196,6 +200,7 @@ class Link:
             *sorted((cause + ' errors', count) for cause, count in counted.items()),
             *self.extra_values(),
             *self.stamps.values(),
+            *self.board_settings.values(),
         ]
         announcement = self.announcement
         if announcement.rows is not None:
@@ -244,8 +249,8 @@ class Link:
     def deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
         tap, read = self.tap, frame.stamp
-        frame = stamped(frame, read.stamp)
-        shown = self.shown(frame) if tap else frame
+        shown = self.shown(stamped(frame, read.stamp)) if tap else frame
+        frame = stamped(frame, self.stamps.of(frame, read))
         printed = '' if frame.message is not None else self.unknown_bytes.add(frame, now)
         if printed:
             self.log.warn('text', printed)
@@ -258,6 +263,6 @@ class Link:
             self.last_frame_at = now
             if frame.message is not None:     # another board's bytes may be an unknown frame
                 self.unknown_bytes.understood_at = now
-            self.received(self.stamps.measured(frame, read), now)
+            self.received(frame, now)
         if tap:
             self.connection.guarded(tap, self.name, RX, shown)

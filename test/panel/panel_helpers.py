@@ -110,6 +110,8 @@ class Robot:
         self.bridge = Bridge(parameters={
             **{f'{name}/port': line.near for name, line in self.lines.items()},
             'bus/environment_period': 0.2, 'bus/motion_timeout': 1.0,
+            'arduino/settings': {'kp': {'setting': 1, 'layout': '<f', 'minimum': 0, 'maximum': 10,
+                                        'unit': '1/s', 'description': 'proportional gain'}},
             'arduino/messages': {'gripper': {
                 'type': 40, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Vector3',
                 'layout': '<hhB', 'fields': ['x', 'y', 'z'], 'scale': [0.1, 0.1, 1],

@@ -4,6 +4,7 @@ import math
 import os
 import re
 import shutil
+import struct
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -26,6 +27,7 @@ from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand, 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.settings import SettingMessage
 from serial_communication.srv import Lift, LiftResponse, Release
 from serial_communication.tools.watch.topics import TOPICS
 
@@ -682,6 +684,39 @@ def test_a_custom_command_is_a_form_with_its_limits(control_page, robot):
             fill('-2.5', '50', '3')
     until(lambda: GRIPPER in robot.car.wire, 'the board receives it', doing=send, every=0.3)
     wait_for_answer(control_page, 'gripper -2.5 50 3 sent')
+
+
+def test_a_setting_is_a_form_with_a_slider_beside_the_boards_own_value(control_page, robot):
+    form = '[data-service="~settings/arduino/kp"] '
+    number, slider = form + 'input[type=number]', form + 'input[type=range]'
+
+    def report(value):
+        robot.car.write(arduino.encode_raw(253, b'\1' + struct.pack('<f', value)))
+
+    def value_of(selector):
+        text = control_page.script(f"return document.querySelector('{selector}').value")
+        return float(text or -1)
+
+    def drag(value):
+        control_page.script(
+            "const [slider, value] = [document.querySelector(arguments[0]), arguments[1]];"
+            "slider.value = value; slider.dispatchEvent(new Event('input'));"
+            "slider.dispatchEvent(new Event('change'))", slider, value)
+
+    report(1.5)
+    control_page.wait_for_text(form + '.board-value', '1.5')
+    control_page.wait(lambda page: (value_of(number), value_of(slider)) == (1.5, 1.5), 'both')
+    assert 'proportional gain' in control_page.text(form)
+    assert '1/s' in control_page.text(form + 'label')
+    control_page.wait(lambda page: page.all(form + 'button:enabled'), 'it can be set')
+    drag(2.5)
+    wanted = 1, tuple(struct.pack('<f', 2.5))
+    until(lambda: wanted in [tuple(each) for each in robot.car.messages(SettingMessage)],
+          'the car gets it')
+    report(2.5)
+    wait_for_answer(control_page, 'arduino: kp 2.5 done')
+    control_page.wait_for_text(form + '.board-value', '2.5')
+    assert value_of(number) == 2.5
 
 
 def test_a_page_that_only_looks_says_so_and_how_to_get_commands(page):

@@ -200,6 +200,16 @@ def test_announced_messages_are_known_in_all_of_the_bytes():
     assert explain.explain(message + chunks[:-1], settings('arduino'))[0].trouble
 
 
+def test_settings_that_a_board_announces_are_known_in_both_directions():
+    chunks = b''.join(map(arduino.encode, chunks_of(b'kp: {setting: 1, layout: "<f"}\n', 20)))
+    packet = arduino.encode_raw(253, b'\1' + struct.pack('<f', 2.2))
+    found = explain.explain(packet + chunks, settings('arduino'))
+    assert value_of(found[0], 'kp') == 2.2 and not found[0].trouble
+    frame = mcu.encode_raw(253, 7, b'\2\x64\0')
+    each = only('mcu', frame, parameters={'settings': {'ramp': {'setting': 2, 'layout': '<H'}}})
+    assert value_of(each, 'ramp') == 100 and str(each.frame.message) == 'setting number=2 ramp=100'
+
+
 def announced_on_the_bus():
     """Requests for an announcement with their replies, as (sent, frame)."""
     return [each for chunk in chunks_of(PUMP, 20) for each in (

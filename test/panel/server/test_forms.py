@@ -2,6 +2,7 @@
 import pytest
 from std_srvs.srv import SetBool
 
+from serial_communication.ros.settings import request_of
 from serial_communication.srv import Lift
 from serial_communication.tools.panel import forms
 from serial_communication.tools.panel.dead_man import CommandRefused
@@ -40,6 +41,25 @@ def test_only_valid_rows_to_the_board_are_offered_with_their_limits(messages):
     assert messages['~horn'].fields == [field('data', 'bool', 0, 1, whole=True)]
     assert messages['~tone'].fields == [field('data', 'text', None, None)]
     assert messages['~path'].fields == [field('data', 'array', -32768, 100, whole=True)]
+
+
+def test_settings_are_services_with_limits_units_and_a_request_of_dynamic_reconfigure():
+    rows = {'kp': {'setting': 1, 'layout': '<f', 'minimum': 0, 'maximum': 10, 'unit': '1/s'},
+            'on': {'setting': 2, 'layout': '<?'}, 'free': {'setting': 3, 'layout': '<f'},
+            'wrong': {'setting': 300, 'layout': '<f'}}
+    found = forms.settings(boards_of({}), {
+        'arduino': {'settings': rows, 'announced': {'rate': {'setting': 4, 'layout': '<H'}}},
+        'mcu': {'announced': {'level': {'type': 32}}}})
+    assert {name: each.fields for name, each in found.items()} == {
+        '~settings/arduino/kp': [{**field('value', 'number', 0, 10), 'unit': '1/s'}],
+        '~settings/arduino/on': [field('value', 'bool', 0, 1, whole=True)],
+        '~settings/arduino/free': [field('value', 'number', None, None)],
+        '~settings/arduino/rate': [field('value', 'number', 0, 65535, whole=True)]}
+    kp = found['~settings/arduino/kp']
+    assert kp.service_name('~settings/arduino/kp') == '~settings/arduino/set_parameters'
+    assert [each.value for each in request_of(kp.setting, 2).config.doubles] == [2.0]
+    with pytest.raises(ValueError, match='from 0 to 10 1/s'):
+        request_of(kp.setting, 11)
 
 
 def test_the_services_of_the_boards_are_those_of_their_descriptions():

@@ -1,0 +1,135 @@
+"""Settings, exactly: of a car that loses requests and answers, is reset, and calibrates."""
+import itertools
+import json
+import struct
+import time
+from typing import Any, Dict
+
+import rospy
+from dynamic_reconfigure.msg import Config, DoubleParameter, IntParameter
+from dynamic_reconfigure.srv import Reconfigure
+
+import by_definition as codec
+from .boards import Packet
+from .rig import Rig
+from .robot import NODE
+
+_SETTING = 253
+_LAYOUTS = {1: '<f', 2: '<H'}
+_DEFAULTS = {1: 1.0, 2: 100}
+PARAMETERS = {'arduino/settings': json.dumps({
+    'gain': {'setting': 1, 'layout': '<f', 'minimum': 0.0, 'maximum': 10.0},
+    'ramp': {'setting': 2, 'layout': '<H'}})}
+_BACK = 1.0             # s
+_NONE = 'no setting to a board without rows, or while it calibrates'
+
+
+class _Tunable:
+    """Makes the rig's car use settings: `with _Tunable(rig) as car`."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._car = rig.car
+        self.values = dict(_DEFAULTS)
+        self.loses = 0                  # one of so many requests, and of so many answers; 0: none
+        self._count = itertools.count(1)
+
+    def __enter__(self) -> '_Tunable':
+        self._car.on_packet = self._on_packet
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._car.on_packet = self._car.packets.append
+
+    def _on_packet(self, packet: Packet) -> None:
+        self._car.packets.append(packet)
+        number = packet.data[0] if packet.type == _SETTING else 0
+        if number in _LAYOUTS and not self._is_lost():
+            self.values[number], = struct.unpack(_LAYOUTS[number], packet.data[1:])
+            if not self._is_lost():
+                self.report(number)
+
+    def _is_lost(self) -> bool:
+        return bool(self.loses) and next(self._count) % self.loses == 0
+
+    def report(self, number: int) -> None:
+        """Send the value of a setting."""
+        self._car.write(codec.arduino_packet(
+            _SETTING, bytes((number,)) + struct.pack(_LAYOUTS[number], self.values[number])))
+
+    def reset(self) -> None:
+        """The board starts again with its defaults, and reports one of them."""
+        self.values = dict(_DEFAULTS)
+        self.report(1)
+
+    @property
+    def text(self) -> str:
+        """The values as /diagnostics shows them."""
+        return f'gain={self.values[1]:g}, ramp={self.values[2]:g}'
+
+
+def _set(**values: float) -> Dict[str, float]:
+    """Set these; return what the bridge answers."""
+    config = rospy.ServiceProxy(f'{NODE}/settings/arduino/set_parameters', Reconfigure)(Config(
+        doubles=[DoubleParameter(name, value) for name, value in values.items() if name == 'gain'],
+        ints=[IntParameter(name, value) for name, value in values.items() if name == 'ramp'],
+    )).config
+    return {each.name: each.value for each in (*config.doubles, *config.ints)}
+
+
+def confirmed(rig: Rig) -> None:
+    """The line loses requests and answers."""
+    required = rig.row('a setting told as confirmed is in use at the board')
+    with _Tunable(rig) as car:
+        for loses, number in itertools.product((0, 3, 2), range(1, 5)):
+            car.loses = loses
+            told = _set(gain=number / 4, ramp=number * 10 + loses)
+            values = rig.next_report('arduino')[2]
+            if not values['settings unconfirmed']:
+                required.check(values['settings'] == car.text, f"{values['settings']} is told as "
+                               f'confirmed, {car.text} is in use')
+            required.check(told == {'gain': number / 4, 'ramp': number * 10 + loses}, f'{told}')
+
+
+def resets(rig: Rig) -> None:
+    """The board is reset, and loses its values."""
+    required = rig.row('after a reset all wanted settings are back within 1 s')
+    with _Tunable(rig) as car:
+        wanted = {1: 7.5, 2: 250}
+        _set(gain=7.5, ramp=250)
+        for _ in rig.tries(*range(5)):
+            began = time.monotonic()
+            car.reset()
+            required.wait(lambda: car.values == wanted, 'all are back')
+            rig.in_time(required, began, time.monotonic(), _BACK, 'all are back')
+
+
+def calibrates(rig: Rig) -> None:
+    """Nothing is sent to a board that calibrates; afterwards all is."""
+    required = rig.row(_NONE)
+    with _Tunable(rig) as car:
+        _set(gain=1.5)
+        for gain in rig.tries(2.5, 3.5):
+            rig.car.talks = False
+            rig.robot.call('calibrate_imu')
+            rig.wait_beats(0.1)
+            _set(gain=gain)
+            rig.wait_beats(2.2)
+            sent = [packet for packet in rig.car.packets if packet.type == _SETTING]
+            required.check(not sent, f'{sent[:2]} were sent during it')
+            rig.car.measure()
+            required.wait(lambda gain=gain: car.values[1] == gain, 'it is sent afterwards')
+            rig.car.talks = True
+
+
+def no_rows(rig: Rig) -> None:
+    """A board sends settings that no row describes."""
+    required = rig.row(_NONE)
+    with _Tunable(rig) as car:
+        for number in (1, 2, 1):
+            car.report(number)
+            rig.wait_beats(0.3)
+        sent = [packet for packet in rig.car.packets if packet.type == _SETTING]
+        required.check(not sent, f'{sent[:2]} were sent')
+
+
+SERIAL = confirmed, resets, calibrates
