@@ -7,7 +7,7 @@ from ..transport.pace import Allowance
 from .outcome import Refused
 from .sparing_log import SparingLog
 
-_RATE = 10, 10.0           # frames at once, and then a second: never over 20 in one second
+_RATE = 5, 15.0            # frames at once, and then a second: never over 20 in one second
 _PAUSES = 0.2, 1.0         # s between two tries: at first, and later
 _TRIES = 5                 # with the first of these pauses
 _ANSWERS = 3               # as many tries answered by one other value: the board limits it
