@@ -10,6 +10,7 @@ from .sparing_log import SparingLog
 _RATE = 5, 15.0            # frames at once, and then a second: never over 20 in one second
 _PAUSES = 0.2, 1.0         # s between two tries: at first, and later
 _TRIES = 5                 # with the first of these pauses
+_STARTING = 4              # tries after these, until a silent board is a warning
 _ANSWERS = 3               # as many tries answered by one other value: the board limits it
 
 
@@ -30,6 +31,7 @@ class _State:
         self.due = 0.0
         self.answers = 0            # tries that were answered by `value`
         self.answered = 0           # the number of the latest of them
+        self.is_told = False        # a warning said that it is not confirmed
 
     @property
     def is_settled(self) -> bool:
@@ -185,7 +187,10 @@ class BoardSettings:
             return
         state.tries += 1
         state.due = now + _PAUSES[state.tries >= _TRIES]
-        if state.tries == _TRIES + 1:
+        # A board that has reported nothing yet may still be starting.
+        least = _TRIES + (1 if state.value is not None else _STARTING)
+        if state.tries >= least and not state.is_told:
+            state.is_told = True
             uses = 'is silent about it' if state.value is None else f'uses {state.value}'
             self._log.warn(f'setting {name}', f'the board has not confirmed {name} = '
                            f'{state.wanted}, it {uses}; it is sent again each second')

@@ -119,18 +119,17 @@ class SettingsServer:
         """Set the wanted values on the parameter server, for the next start."""
         known = self._parameters.get(PARAMETER, {})
         before = known.get(self._link.name, {})
-        wanted = {name: for_xml_rpc(wanted) for name, (_, wanted, _) in
-                  self._settings.shown().items() if wanted is not None}
-        # As new groups: another thread may be reading these.
-        self._parameters[PARAMETER] = {**known, self._link.name: {**before, **wanted}}
-        for name, value in wanted.items():
-            if value != before.get(name):
-                try:
-                    rospy.set_param(f'{self._name}/{name}', value)
-                except Exception as error:  # pylint: disable=broad-except
-                    # rospy passes on what its master, or another server at its address, answers.
-                    self._log.warn('parameter', f'the parameter {self._name}/{name} cannot be set '
-                                   f'now ({error}); a new roscore gets it')
+        new = {name: for_xml_rpc(wanted) for name, (_, wanted, _) in self._settings.shown().items()
+               if wanted is not None and wanted != before.get(name)}
+        if new:     # as new groups: another thread may be reading these
+            self._parameters[PARAMETER] = {**known, self._link.name: {**before, **new}}
+        for name, value in new.items():
+            try:
+                rospy.set_param(f'{self._name}/{name}', value)
+            except Exception as error:  # pylint: disable=broad-except
+                # rospy passes on what its master, or another server at its address, answers.
+                self._log.warn('parameter', f'the parameter {self._name}/{name} cannot be set now '
+                               f'({error}); a new roscore gets it')
 
     def _set(self, request: Any) -> Any:
         """Want the values of a request; return those that the board uses then."""
