@@ -168,6 +168,8 @@ class BoardSettings:
             write: sends a message; raises Refused if it cannot be sent now.
             is_current: as for `received`.
         """
+        if not self._states:
+            return None
         with self._changed:
             waiting = [state for state in self._states.values()
                        if state.wanted is not None and not state.confirmed

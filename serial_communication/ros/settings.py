@@ -84,13 +84,16 @@ class SettingsServer:
         self._name = f'~{PARAMETER}/{link.name}'
         self._server: Optional[Tuple[rospy.Publisher, rospy.Publisher, rospy.Service]] = None
         self._published: List[Any] = [None, None]     # the latest description and values
+        self._is_told = False     # that dynamic_reconfigure is missing
 
     def update(self) -> None:
         """Publish what has changed, and set the parameters; in the worker's thread."""
         rows = self._settings.rows
         if rows and Config is None:
-            self._log.warn('dynamic_reconfigure', 'dynamic_reconfigure is not installed: settings '
-                           f'can only be set by the parameters {self._name}/NAME at the start')
+            if not self._is_told:
+                self._is_told = True
+                self._log.always_warn('dynamic_reconfigure is not installed: settings can only be '
+                                      f'set by the parameters {self._name}/NAME at the start')
         elif rows:
             self._publish(rows)
         elif self._server:
