@@ -97,7 +97,9 @@ class BoardSettings:
         A value that is not allowed is refused with a warning.
         """
         with self._changed:
-            state = self._states[name]
+            state = self._states.get(name)
+            if state is None:
+                return      # the row has just gone
             try:
                 value = None if value is None else state.row.checked(value)
             except ValueError as error:
@@ -219,4 +221,5 @@ class BoardSettings:
 
 
 def _text(value: Any) -> str:
-    return '?' if value is None else str(value).lower() if isinstance(value, bool) else f'{value:g}'
+    return '?' if value is None else \
+        f'{value:.9g}' if isinstance(value, float) else str(value).lower()
