@@ -7,9 +7,10 @@ from ..transport.pace import Allowance
 from .outcome import Refused
 from .sparing_log import SparingLog
 
-_RATE = 10, 10.0           # frames at once, and then a second: never over 20 in one second
+_RATE = 5, 15.0            # frames at once, and then a second: never over 20 in one second
 _PAUSES = 0.2, 1.0         # s between two tries: at first, and later
 _TRIES = 5                 # with the first of these pauses
+_STARTING = 4              # tries after these, until a silent board is a warning
 _ANSWERS = 3               # as many tries answered by one other value: the board limits it
 
 
@@ -30,6 +31,7 @@ class _State:
         self.due = 0.0
         self.answers = 0            # tries that were answered by `value`
         self.answered = 0           # the number of the latest of them
+        self.is_told = False        # a warning said that it is not confirmed
 
     @property
     def is_settled(self) -> bool:
@@ -95,7 +97,9 @@ class BoardSettings:
         A value that is not allowed is refused with a warning.
         """
         with self._changed:
-            state = self._states[name]
+            state = self._states.get(name)
+            if state is None:
+                return      # the row has just gone
             try:
                 value = None if value is None else state.row.checked(value)
             except ValueError as error:
@@ -166,6 +170,8 @@ class BoardSettings:
             write: sends a message; raises Refused if it cannot be sent now.
             is_current: as for `received`.
         """
+        if not self._states:
+            return None
         with self._changed:
             waiting = [state for state in self._states.values()
                        if state.wanted is not None and not state.confirmed
@@ -185,7 +191,10 @@ class BoardSettings:
             return
         state.tries += 1
         state.due = now + _PAUSES[state.tries >= _TRIES]
-        if state.tries == _TRIES + 1:
+        # A board that has reported nothing yet may still be starting.
+        least = _TRIES + (1 if state.value is not None else _STARTING)
+        if state.tries >= least and not state.is_told:
+            state.is_told = True
             uses = 'is silent about it' if state.value is None else f'uses {state.value}'
             self._log.warn(f'setting {name}', f'the board has not confirmed {name} = '
                            f'{state.wanted}, it {uses}; it is sent again each second')
@@ -212,4 +221,5 @@ class BoardSettings:
 
 
 def _text(value: Any) -> str:
-    return '?' if value is None else str(value).lower() if isinstance(value, bool) else f'{value:g}'
+    return '?' if value is None else \
+        f'{value:.9g}' if isinstance(value, float) else str(value).lower()

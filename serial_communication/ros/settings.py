@@ -84,13 +84,16 @@ class SettingsServer:
         self._name = f'~{PARAMETER}/{link.name}'
         self._server: Optional[Tuple[rospy.Publisher, rospy.Publisher, rospy.Service]] = None
         self._published: List[Any] = [None, None]     # the latest description and values
+        self._is_told = False     # that dynamic_reconfigure is missing
 
     def update(self) -> None:
         """Publish what has changed, and set the parameters; in the worker's thread."""
         rows = self._settings.rows
         if rows and Config is None:
-            self._log.warn('dynamic_reconfigure', 'dynamic_reconfigure is not installed: settings '
-                           f'can only be set by the parameters {self._name}/NAME at the start')
+            if not self._is_told:
+                self._is_told = True
+                self._log.always_warn('dynamic_reconfigure is not installed: settings can only be '
+                                      f'set by the parameters {self._name}/NAME at the start')
         elif rows:
             self._publish(rows)
         elif self._server:
@@ -119,18 +122,17 @@ class SettingsServer:
         """Set the wanted values on the parameter server, for the next start."""
         known = self._parameters.get(PARAMETER, {})
         before = known.get(self._link.name, {})
-        wanted = {name: for_xml_rpc(wanted) for name, (_, wanted, _) in
-                  self._settings.shown().items() if wanted is not None}
-        # As new groups: another thread may be reading these.
-        self._parameters[PARAMETER] = {**known, self._link.name: {**before, **wanted}}
-        for name, value in wanted.items():
-            if value != before.get(name):
-                try:
-                    rospy.set_param(f'{self._name}/{name}', value)
-                except Exception as error:  # pylint: disable=broad-except
-                    # rospy passes on what its master, or another server at its address, answers.
-                    self._log.warn('parameter', f'the parameter {self._name}/{name} cannot be set '
-                                   f'now ({error}); a new roscore gets it')
+        new = {name: for_xml_rpc(wanted) for name, (_, wanted, _) in self._settings.shown().items()
+               if wanted is not None and wanted != before.get(name)}
+        if new:     # as new groups: another thread may be reading these
+            self._parameters[PARAMETER] = {**known, self._link.name: {**before, **new}}
+        for name, value in new.items():
+            try:
+                rospy.set_param(f'{self._name}/{name}', value)
+            except Exception as error:  # pylint: disable=broad-except
+                # rospy passes on what its master, or another server at its address, answers.
+                self._log.warn('parameter', f'the parameter {self._name}/{name} cannot be set now '
+                               f'({error}); a new roscore gets it')
 
     def _set(self, request: Any) -> Any:
         """Want the values of a request; return those that the board uses then."""

@@ -16,6 +16,7 @@ from fake_bus import FakeBus
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.settings import SettingMessage
 from .child import jittered, serve, sleep_until, wait_until
 
 BITS = 10              # for a byte on the wire, with start and stop bit
@@ -142,12 +143,28 @@ class Recorder:
 
 
 class Listener(Recorder):
-    """Records the time of each heartbeat of a node, which sends nothing else in the bench."""
+    """Records the time of each heartbeat of a node, and answers its settings."""
 
     HEARTBEAT = arduino.encode(arduino.Heartbeat())
 
+    def __init__(self, fd: int) -> None:
+        self._decoder = arduino.BoardDecoder()
+        self._others = 0
+        super().__init__(fd)
+
     def records(self, data: bytes, now: float) -> Iterable:
-        return [now] * data.count(self.HEARTBEAT)
+        beats = data.count(self.HEARTBEAT)
+        if beats * len(self.HEARTBEAT) != len(data) or self._decoder.pending:
+            for frame in self._decoder.feed(data):
+                if isinstance(frame.message, SettingMessage):
+                    os.write(self._fd, frame.raw)
+                self._others += len(frame.raw) * (frame.raw != self.HEARTBEAT)
+        return [now] * beats
+
+    def others(self) -> int:
+        """Return the bytes besides heartbeats since the last call."""
+        count, self._others = self._others, 0
+        return count
 
 
 class BusBoard(Recorder):
@@ -178,8 +195,11 @@ def main() -> None:
     if role == 'talker':
         talker = Talker(fd, sys.argv[3])
         serve(talk=talker.talk, boot=talker.boot, measure=talker.measure, flood=talker.flood)
+    elif role == 'listener':
+        listener = Listener(fd)
+        serve(take=listener.take, others=listener.others)
     else:
-        serve(take=(Listener if role == 'listener' else BusBoard)(fd).take)
+        serve(take=BusBoard(fd).take)
 
 
 if __name__ == '__main__':

@@ -4,7 +4,7 @@
     publishing  a reference: only publishes prepared messages, the cost of rospy itself
     subscriber  stamps IMU and steering as they arrive
     counter     counts the messages on every topic of a node
-    caller      calls the bus services, several at once
+    caller      calls the bus services, several at once; sets a setting
 """
 import sys
 import threading
@@ -15,6 +15,8 @@ from typing import Any, Callable, Dict, List
 import rospy
 import serial
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from dynamic_reconfigure.msg import Config, DoubleParameter
+from dynamic_reconfigure.srv import Reconfigure
 from geometry_msgs.msg import Quaternion, Vector3
 from roslib.message import get_message_class
 from sensor_msgs.msg import Imu
@@ -177,6 +179,24 @@ class Caller:
             list(threads.map(loop, self._proxies[service]))
         return calls
 
+    def set(self, service: str, seconds: float, pause: float) -> List[float]:
+        """Set `gain` to another value again and again; return how long each answer took, in s.
+
+        Args:
+            pause: s between two calls.
+        """
+        rospy.wait_for_service(service, 20)
+        proxy, times = rospy.ServiceProxy(service, Reconfigure, True), []
+        until, number = time.monotonic() + seconds, 0
+        while time.monotonic() < until:
+            number += 1
+            began, value = time.monotonic(), float(number % 100)
+            answer = proxy(Config(doubles=[DoubleParameter('gain', value)]))
+            times.append(time.monotonic() - began)
+            assert answer.config.doubles[0].value == value
+            time.sleep(pause)
+        return times
+
 
 def main() -> None:
     """nodes ROLE [ARGUMENT…]."""
@@ -197,7 +217,7 @@ def main() -> None:
         serve(missing=subscriber.missing, take=subscriber.take)
     else:
         caller = Caller()
-        serve(ready=caller.ready, call=caller.call)
+        serve(ready=caller.ready, call=caller.call, set=caller.set)
 
 
 if __name__ == '__main__':

@@ -3,6 +3,7 @@
 The sides of a comparison run at the same time and take turns, A B C A B C …. The best round of each
 figure counts, so that other load on the machine has little effect. Less is better for all figures.
 """
+import json
 import time
 from collections import Counter
 from math import inf
@@ -321,5 +322,42 @@ def bus(stage: BenchStage, plan: Plan) -> Results:
     return _in_turn(plan, {name: lambda side=side: measure(side) for name, side in sides.items()})
 
 
+# -- settings -------------------------------------------------------------------------------------
+
+def settings(stage: BenchStage, plan: Plan) -> Results:
+    """From a set to its confirmation; heartbeats while a slider is dragged, or nothing changes."""
+    side = stage.side('bridge', ('arduino',), {'arduino/settings': json.dumps(
+        {'gain': {'setting': 1, 'layout': '<f'}})})
+    caller, listener = stage.servant('nodes', 'caller'), side.others['listener']
+    service = f'{side.node}/settings/arduino/set_parameters'
+    caller.ask('set', service=service, seconds=0.0, pause=0.0)
+
+    def measure(work: Callable[[], List[float]]) -> Figures:
+        time.sleep(_SETTLE)
+        listener.ask('take'), listener.ask('others')
+        side.begin_talking(plan.seconds)     # a silent board gets no settings
+        began, times = time.monotonic(), work()
+        side.end_talking()
+        seconds, beats = time.monotonic() - began, listener.ask('take')
+        gaps = [after - then for then, after in zip(beats, beats[1:])]
+        return {**({'p50, ms': _figure(median, times),
+                    'p99, ms': _figure(lambda values: percentile(values, 99), times)}
+                   if times else {}),
+                'bytes a second besides heartbeats': listener.ask('others') / seconds,
+                'heartbeat: p99.9, ms': _figure(lambda values: percentile(values, 99.9), gaps),
+                'heartbeat: longest, ms': _figure(max, gaps)}
+
+    def setting(pause: float) -> Measure:
+        return lambda: measure(lambda: caller.ask('set', service=service, seconds=plan.seconds,
+                                                  pause=pause))
+
+    def nothing() -> List[float]:
+        time.sleep(plan.seconds)
+        return []
+
+    return _in_turn(plan, {'5 sets a second': setting(0.2), 'a slider is dragged': setting(0.0),
+                           'nothing changes': lambda: measure(nothing)})
+
+
 SECTIONS = {section.__name__: section for section in (
-    latency, busy, stamps, nano, cpu, bus, flood, bridges)}
+    latency, busy, stamps, nano, cpu, bus, settings, flood, bridges)}

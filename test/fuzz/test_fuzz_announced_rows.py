@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 pytest.importorskip('rospy')
 from serial_communication.boards.arduino import DESCRIPTION  # noqa: E402
 from serial_communication.framing.announcement import write_announcement  # noqa: E402
+from serial_communication.framing.settings import Setting  # noqa: E402
 from serial_communication.link.announcement import BoardAnnouncement  # noqa: E402
 from serial_communication.link.sparing_log import SparingLog  # noqa: E402
 from serial_communication.ros.announced import AnnouncedRows  # noqa: E402
@@ -24,6 +25,8 @@ rows = st.dictionaries(
                   st.integers(38, 42), st.sampled_from((1, 0.5))),
         st.builds(lambda type_: dict(ROW, type=type_, ros_type='std_msgs/Nothing'),
                   st.integers(38, 42)),
+        st.builds(lambda number, layout: {'setting': number, 'layout': layout},
+                  st.integers(0, 2), st.sampled_from(('<f', '<B', '>B'))),
         st.just({'type': 10}), st.just(5)), max_size=6)
 texts = st.one_of(rows.map(lambda given: write_announcement(given, 'nano_car 1.1.0')),
                   st.binary(max_size=60))
@@ -40,12 +43,13 @@ class Stage:
         log = SparingLog('arduino', logging.getLogger('fuzz'))
         self.link = SimpleNamespace(name='arduino', log=log, announcement=BoardAnnouncement(log))
         self.rows = AnnouncedRows(DESCRIPTION, self.link, [row.custom for row in CONFIGURED],
-                                  lambda custom: resolve(custom, '~'), self._add)
+                                  lambda custom: custom if isinstance(custom, Setting)
+                                  else resolve(custom, '~'), self._add)
 
     def _add(self, row):
         name = row.custom.name
         assert name not in self.up
-        assert row.kind.TYPE not in [each.kind.TYPE for each in self.up.values()]
+        assert row.custom.number not in [each.custom.number for each in self.up.values()]
         if name in self._failing:
             raise RuntimeError('any failure')
         self.up[name] = row
@@ -57,7 +61,8 @@ class Stage:
         assert set(in_use) == set(self.up) == set(self.link.announcement.rows)
         assert self.link.announcement._in_use == text
         assert self.names == {'~pump': 'bus/announced/pump',
-                              **{f'~{name}': f'arduino/announced/{name}' for name in self.up}}
+                              **{('~settings/arduino/' if isinstance(row, Setting) else '~') + name:
+                                 f'arduino/announced/{name}' for name, row in self.up.items()}}
         return in_use
 
 
@@ -70,7 +75,10 @@ def test_what_is_in_use_is_what_the_latest_announcement_allows(sequence):
         made = stage.made
         assert stage.update(text) == in_use and stage.made == made, 'the same again changes nothing'
         for name, row in in_use.items():
-            assert stage.up[name].kind.LAYOUT.values[0].scale == row['scale']
+            used = stage.up[name]
+            key, number = used.custom.number
+            assert number == row[key]
+            assert isinstance(used, Setting) or used.kind.LAYOUT.values[0].scale == row['scale']
     assert stage.update(b'') == {}
 
 

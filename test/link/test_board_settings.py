@@ -198,6 +198,20 @@ def test_a_value_that_is_not_allowed_is_refused_with_a_warning(rig, caplog):
                                '10']
 
 
+def test_values_are_shown_with_all_digits():
+    rig = Rig(rows={'count': {'setting': 1, 'layout': '<I'}, 'gain': {'setting': 2, 'layout': '<f'},
+                    'on': {'setting': 3, 'layout': '<?'}})
+    for number, value in (1, 4294967295), (2, 0.12345679), (3, True):
+        rig.report(number, value)
+    assert rig.settings.values()[0][1] == 'count=4294967295, gain=0.12345679, on=true'
+
+
+def test_a_setting_whose_row_has_just_gone_is_left_alone(rig):
+    rig.remove['kp']()
+    rig.settings.want('kp', 2.0)
+    assert rig.settings.wanted == {} and rig.sent == []
+
+
 def test_waiting_ends_with_the_answer_or_the_time(rig):
     rig.settings.want('kp', 2.0)
     rig.settings.wait(['kp', 'gone'], 0.01)

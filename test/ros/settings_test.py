@@ -223,6 +223,11 @@ class OtherBridges(unittest.TestCase):
             os.environ['PYTHONPATH'] = path
         bridge.wait_for('dynamic_reconfigure is not installed')
         until(lambda: car.values[1] == 2.0, 'the parameter is used')
+        for number in (2, 3) * 20:
+            car.values[2] += 1
+            car.report(number)
+        car.wait_for_heartbeats(100)
+        self.assertEqual(bridge.output().count('dynamic_reconfigure'), 1)
 
     def test_a_new_master_has_the_server_and_the_values(self):
         line = Line(os.path.join(self.folder, 'car')).plug()

@@ -142,6 +142,15 @@ def test_a_link_shows_its_status_and_counters():
     assert 'read delay 8.31 ms' in by_link['mcu'].text
 
 
+def test_settings_are_shown_and_unconfirmed_ones_only_if_there_are_some():
+    state = busy()
+    for unconfirmed, shown in ('', 'settings kp=2'), ('kp=3', 'settings kp=2, unconfirmed kp=3'):
+        state.bridge.set_link('mcu', LinkState(0, 'open', {
+            'settings': 'kp=2', 'settings unconfirmed': unconfirmed}, at=NOW))
+        assert text(state, 200, 60).count(shown) == 1
+        assert ('unconfirmed' in text(state, 200, 60)) == bool(unconfirmed)
+
+
 def test_bytes_dropped_as_stale_are_shown_unless_0():
     state = busy()
     for count, words in ('0', ', in 1234567'), ('120', ', dropped 120 stale bytes, in 1234567'):

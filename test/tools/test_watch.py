@@ -43,6 +43,7 @@ def test_relative_and_absolute_names_convert_both_ways(name, node, full):
 
 def test_known_topics_are_listed_in_the_tables_order_before_others():
     found = topics.published_topics('/car/bridge', {
+        '/car/bridge/settings/mcu/parameter_updates': 'dynamic_reconfigure/Config',
         '/car/zebra': 'nmea_msgs/Gpgga', '/tf': 'tf2_msgs/TFMessage',
         '/car/bridge/voltage': 'serial_communication/Voltage', '/rosout': 'rosgraph_msgs/Log',
         '/car/bridge/imu': 'sensor_msgs/Imu', '/car/air': 'sensor_msgs/Temperature'},

@@ -7,6 +7,7 @@ import re
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -161,6 +162,24 @@ def test_announced_messages_are_learned_live_and_out_of_recordings(ttys, start, 
     types = figures['links']['arduino']['from the board']['types']
     assert {name: each['count'] for name, each in types.items()} == {
         'announcement': 3, 'force': 2}
+
+
+def test_announced_settings_are_learned_live_and_out_of_recordings(ttys, start, tmp_path):
+    text = b'kp: {setting: 1, layout: "<f", unit: "1/s"}\n'
+    setting = mcu.encode_raw(253, 1, b'\1' + struct.pack('<f', 2.2))
+    board = ttys[0]
+    program = start('listen', 'mcu', board.path, '--raw', 'kept.txt')
+    program.wait_for_line('open')
+    chunk, = chunks_of(text, 60)
+    board.write(setting + mcu.encode(chunk, 2))
+    until(lambda: len(program.lines()) == 2, 'the chunk')
+    board.write(setting)
+    lines = until(lambda: len(program.lines()) == 3 and program.lines(), 'a setting')
+    assert 'setting number=1 [205 204 12 64]' in lines[0]
+    assert lines[2].endswith('setting number=1 kp=2.2 1/s')
+    assert program.end() == 0
+    done = run('listen', 'mcu', tmp_path / 'kept.txt')
+    assert done.stdout.count('kp=2.2 1/s') == 2, 'those before the announcement, too'
 
 
 def test_listen_names_the_program_that_has_the_port(ttys):

@@ -17,6 +17,7 @@ NODE = '/serial_communication'           # the bridge's default name
 LINKS = BOARDS                           # in this order, before links of other packages
 DIAGNOSTICS = '/diagnostics'
 SERIAL_MSG = 'serial_msg'
+_SETTINGS = '~settings/'      # of dynamic_reconfigure; /diagnostics has the values
 _MOST_ITEMS = 16     # of an array that are shown
 
 
@@ -152,7 +153,8 @@ def published_topics(node: str, published: Dict[str, str], parameters: Any,
         topic.name: topic for board in boards
         for topic in (*board_topics(board, parameters), *row_topics(board, parameters))}}
     names = {relative(full_name, node): type_ for full_name, type_ in published.items()
-             if full_name not in ('/rosout', '/clock')}
+             if full_name not in ('/rosout', '/clock')
+             and not relative(full_name, node).startswith(_SETTINGS)}
     return in_table_order(topics.get(name, BridgeTopic(name, type_))._replace(type=type_)
                           for name, type_ in names.items())
 

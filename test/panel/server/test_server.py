@@ -23,6 +23,7 @@ from panel_helpers import (NODE, TOKEN, Page, Panel, free_port, publishers_and_s
 
 from std_msgs.msg import Float32
 
+from serial_communication.boards.arduino import settings as read_settings
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.msg import SpeedPWMCommand
@@ -594,7 +595,15 @@ def test_a_number_that_its_type_cannot_hold_is_refused(number):
     """Whether a page whose call is refused disturbs others: test_invalid_calls_are_refused."""
     takes_number = types.SimpleNamespace(_request_class=Float32)
     with pytest.raises(CommandRefused, match='~set: '):
-        commands._request('~set', takes_number, {'data': number})
+        commands._request('~set', commands.Service(takes_number, 'bus', []), {'data': number})
+
+
+@pytest.mark.parametrize('arguments', [
+    {}, {'value': 11}, {'value': float('nan')}, {'value': 'fast'}, {'value': [1.0]}])
+def test_a_value_that_a_setting_may_not_have_is_refused(arguments):
+    kp, = read_settings({'kp': {'setting': 1, 'layout': '<f', 'maximum': 10}})
+    with pytest.raises(CommandRefused, match='~kp may be a number to 10'):
+        commands._request('~kp', commands.Service(None, 'arduino', [], setting=kp), arguments)
 
 
 def test_what_a_message_cannot_carry_is_refused_and_so_is_a_second_one_at_once(driver):

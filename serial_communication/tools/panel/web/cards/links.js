@@ -19,6 +19,7 @@ const MORE = [
   ['heartbeat gap', (v) => milliseconds(v['heartbeat gap [ms]'])],
   ['lost', (v) => v['frames lost']],
   ['read delay', (v) => milliseconds(v['read delay p50 [ms]'])],
+  ['unconfirmed', (v) => v['settings unconfirmed'] || undefined],
   ['stale', (v) => v['stale'] === undefined ? undefined : `${v['stale']} bytes`],
   ['reconnects', (v) => v['reconnects']],
 ];
