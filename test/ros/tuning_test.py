@@ -46,7 +46,7 @@ class Tuning(unittest.TestCase):
         self.speeds, self.target = [], 0.0
         self.ended = threading.Event()
         self.addCleanup(self.ended.set)
-        speed = rospy.Subscriber(f'/{PACKAGE}/speed', Float32,
+        speed = rospy.Subscriber(f'/{PACKAGE}/wheel_speed', Float32,
                                  lambda message: self.speeds.append(message.data))
         self.addCleanup(speed.unregister)
 
