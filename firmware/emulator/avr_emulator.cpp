@@ -259,8 +259,12 @@ class Board {
     Values& values = world_->values;
     if (command == "get") {
       if (name == "speed") return speed();
-      if (!values.has(name)) return "error: no value named \"" + name + "\"; list names them";
       char text[40];
+      if (name == "origin") {
+        snprintf(text, sizeof text, "%.6f", origin_);
+        return text;
+      }
+      if (!values.has(name)) return "error: no value named \"" + name + "\"; list names them";
       snprintf(text, sizeof text, "%.10g", values.get(name));
       return text;
     }

@@ -39,6 +39,7 @@ class BoardClock:
         """Forget all points: the port was opened, the bridge stalled, or the board began anew."""
         self._hull: List[_Point] = []
         self._points = 0
+        self._is_known = False
         self._first = 0.0                           # board time of the first point
         self._newest: _Point = (-inf, -inf)
         self._returned = -inf                      # the latest time returned
@@ -59,22 +60,20 @@ class BoardClock:
             arrival: when the frame began on the wire at the latest.
         """
         board = self._unwrapped(ticks * _SECONDS_A_TICK, arrival)
-        if self._is_known and self._on_line(board) > arrival + MOST_EARLY:
-            self.reset()
-            return None
         is_newest = board >= self._newest[0]
-        if is_newest:
+        if not self._is_known and is_newest:
             self._add((board, arrival))
         if not self._is_known:
             return None
         at = self._on_line(board)
+        if at > arrival + MOST_EARLY:
+            self.reset()
+            return None
+        at = min(at, arrival)
         if is_newest:
+            self._add((board, arrival))
             at = self._returned = max(at, self._returned)
-        return min(at, arrival)
-
-    @property
-    def _is_known(self) -> bool:
-        return self._points >= LEAST_POINTS and self._newest[0] - self._first >= LEAST_SPAN
+        return at
 
     def _unwrapped(self, board: float, arrival: float) -> float:
         """Return the board time without wraps; reset if all points are old or the clock jumped."""
@@ -97,10 +96,13 @@ class BoardClock:
         if hull and hull[-1][0] == point[0]:     # of two at one time the earlier arrival counts
             point = min(point, hull.pop())
         hull.append(point)
-        old = bisect_left(hull, (point[0] - WINDOW,))
-        del hull[:min(old, len(hull) - 2)]
-        self._points += 1
+        oldest = point[0] - WINDOW
+        while hull[0][0] < oldest and len(hull) > 2:
+            del hull[0]
         self._newest = point
+        if not self._is_known:
+            self._points += 1
+            self._is_known = self._points >= LEAST_POINTS and point[0] - self._first >= LEAST_SPAN
 
     def _on_line(self, board: float) -> float:
         """Extend the hull's edge in the middle of the points to this time.

@@ -249,8 +249,8 @@ class Link:
     def deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
         tap, read = self.tap, frame.stamp
-        frame = stamped(frame, read.stamp)
-        shown = self.shown(frame) if tap else frame
+        shown = self.shown(stamped(frame, read.stamp)) if tap else frame
+        frame = stamped(frame, self.stamps.of(frame, read))
         printed = '' if frame.message is not None else self.unknown_bytes.add(frame, now)
         if printed:
             self.log.warn('text', printed)
@@ -263,6 +263,6 @@ class Link:
             self.last_frame_at = now
             if frame.message is not None:     # another board's bytes may be an unknown frame
                 self.unknown_bytes.understood_at = now
-            self.received(self.stamps.measured(frame, read), now)
+            self.received(frame, now)
         if tap:
             self.connection.guarded(tap, self.name, RX, shown)

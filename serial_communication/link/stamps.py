@@ -3,7 +3,7 @@ from collections import deque
 from typing import Any, Callable, Deque, List, NamedTuple, Optional, Tuple
 
 from ..framing.board_time import MOST_DELAY, BoardClock
-from ..framing.stream import Frame, stamped
+from ..framing.stream import Frame
 from ..transport.port import Port
 from .sparing_log import SparingLog
 
@@ -47,13 +47,13 @@ class Stamps:
         self._delays.clear()
         self._ticks = None
 
-    def measured(self, frame: Frame, read: Read) -> Frame:
-        """The frame with the stamp of its measurement; as it is if that is not known.
+    def of(self, frame: Frame, read: Read) -> Any:
+        """The stamp of the frame's measurement; that of its read if it is not known.
 
         All frames of one measurement have the same stamp.
         """
         if frame.ticks is None or not self._is_on:
-            return frame
+            return read.stamp
         if frame.ticks != self._ticks:
             self._is_told = True
             self._ticks = frame.ticks
@@ -62,15 +62,15 @@ class Stamps:
             if self._at is not None:
                 self._stamp = self._earlier(read.stamp, read.at - self._at)
         if self._at is None:
-            return frame
+            return read.stamp
         delay = read.at - self._at
         if delay > MOST_DELAY:
             self._errors += 1
             self._log.warn('clock', "by the board's clock a frame is over 1 s old: it has the "
                            'stamp of its read')
-            return frame
+            return read.stamp
         self._delays.append(delay)
-        return stamped(frame, self._stamp)
+        return self._stamp
 
     def values(self) -> List[Tuple[str, Any]]:
         """For /diagnostics; empty if the board sends no time. From any thread."""

@@ -157,7 +157,9 @@ def _recognisable(p: dict, given: dict) -> List[OtherBoard]:
 
 def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
     """Return the time so many seconds before `stamp`; ROS has none before 0."""
-    return rospy.Time(0, max(stamp.to_nsec() - round(seconds * 1e9), 0))
+    earlier = rospy.Time.__new__(rospy.Time)     # in half the time of the call
+    earlier.secs, earlier.nsecs = divmod(max(stamp.to_nsec() - round(seconds * 1e9), 0), 10 ** 9)
+    return earlier
 
 
 def _offer_lending(link: Link) -> None:

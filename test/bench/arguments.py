@@ -9,7 +9,7 @@ is 0 if the bench worked, whatever it measured.
 import argparse
 from typing import List, Optional
 
-SECTIONS = 'latency', 'busy', 'stamps', 'cpu', 'bus', 'flood', 'bridges'
+SECTIONS = 'latency', 'busy', 'stamps', 'nano', 'cpu', 'bus', 'flood', 'bridges'
 
 
 def parse(arguments: Optional[List[str]] = None) -> argparse.Namespace:

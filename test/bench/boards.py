@@ -55,6 +55,7 @@ class Talker:
         self._fd = fd
         self._turn = TURNS[link]
         self._rate = RATES[link]
+        self._booted = 0.0      # when the board's clock was 0
 
     def talk(self, seconds: float) -> List[List[float]]:
         """Send turns at jittered times, one write per packet; return the times of each turn."""
@@ -68,6 +69,11 @@ class Talker:
                 os.write(self._fd, packet)
             sent.append(times)
         return sent
+
+    def boot(self) -> bool:
+        """Let the board's clock begin anew."""
+        self._booted = time.monotonic()
+        return True
 
     def measure(self, seconds: float, ppm: Optional[float], batch: float) -> List[float]:
         """Send turns at jittered times; return when each was measured, in s since 1970.
@@ -84,7 +90,7 @@ class Talker:
             packets = self._turn(n)
             if ppm is not None:
                 packets.insert(0, arduino.encode(arduino.Time(
-                    round(at * (1e6 + ppm)) % 2 ** 32, len(packets))))
+                    round((at - self._booted) * (1e6 + ppm)) % 2 ** 32, len(packets))))
             os.write(self._fd, b''.join(packets))
             measured.append(at + ahead)
         return measured
@@ -171,7 +177,7 @@ def main() -> None:
     sys.setswitchinterval(0.0005)
     if role == 'talker':
         talker = Talker(fd, sys.argv[3])
-        serve(talk=talker.talk, measure=talker.measure, flood=talker.flood)
+        serve(talk=talker.talk, boot=talker.boot, measure=talker.measure, flood=talker.flood)
     else:
         serve(take=(Listener if role == 'listener' else BusBoard)(fd).take)
 

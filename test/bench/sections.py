@@ -22,7 +22,6 @@ from .stage import BenchStage, Servant, Side
 
 _SETTLE = 0.2          # s until messages under way have arrived
 _CALLERS = 8
-_LEARN = 2.0           # s after which a board's clock is certainly known
 _IN_QUEUE = 0.002      # s after which a call is certainly in the node's queue
 _FLOOD = 1000000       # baud
 _ALL, _CPU_MS, _WAKES = 'all threads', 'ms', 'wake-ups'     # see threads_of
@@ -92,6 +91,10 @@ def _figure(function: Callable[[List[float]], float], seconds: List[float]) -> f
     return 1e3 * function(seconds) if seconds else inf
 
 
+def _p99(seconds: List[float]) -> float:
+    return _figure(lambda values: percentile(values, 99), seconds)
+
+
 # -- one board, IMU and steering subscribed -------------------------------------------------------
 
 def latency(stage: BenchStage, plan: Plan, busy: int = 0) -> Results:
@@ -118,7 +121,7 @@ def _latency(side: Side, subscriber: Servant, seconds: float) -> Figures:
     found = latencies(sent, subscriber.ask('take', node=side.node))
     gaps = [after - then for then, after in zip(beats, beats[1:])]
     return {'p50, ms': _figure(median, found),
-            'p99, ms': _figure(lambda values: percentile(values, 99), found),
+            'p99, ms': _p99(found),
             'lost': 2 * len(sent) - len(found), **cost,
             'heartbeat: deviation, ms': _figure(pstdev, gaps),
             'heartbeat: p99.9, ms': _figure(lambda values: percentile(values, 99.9), gaps),
@@ -200,45 +203,62 @@ def bridges(stage: BenchStage, plan: Plan) -> Results:
 
 
 def stamps(stage: BenchStage, plan: Plan) -> Results:
-    """Stamps of the reads and of a board's clock (300 ppm fast, 100 Hz), on a tty, behind an
-    adapter that delivers each 1 or 16 ms, and on a tty beside two busy processes."""
-    ppms = {'board': 300.0, 'read': 300.0, 'no time': None}
-    sides = {name: stage.side('bridge', ('arduino',), {'arduino/board_time': name != 'read'})
-             for name in ppms}
+    """Stamps of a board's clock (300 ppm fast, 100 Hz) that was started twice a round before, and
+    of reads of a board without, at the same time: on a tty, behind an adapter that delivers each 1
+    or 16 ms, and on a tty beside two busy processes."""
+    ppms = {'board': 300.0, 'read': None}
+    sides = {name: stage.side('bridge', ('arduino',)) for name in ppms}
     subscriber = stage.servant('nodes', 'subscriber', *[side.node for side in sides.values()])
     stage.wait(lambda: not subscriber.ask('missing'), 'IMU and steering are connected')
     for side in sides.values():
         _first_messages(stage, side)
 
-    def round_with(batch: float) -> Figures:
+    def round_with(batch: float, seconds: float) -> Figures:
         figures: Figures = {}
         for side in sides.values():
             subscriber.ask('take', node=side.node)
         before = {name: threads_of(side.child.pid)[_ALL, _CPU_MS] for name, side in sides.items()}
         for name, side in sides.items():
-            side.talkers['arduino'].begin('measure', seconds=_LEARN + plan.seconds, ppm=ppms[name],
-                                          batch=batch)
+            side.talkers['arduino'].begin('measure', seconds=seconds, ppm=ppms[name], batch=batch)
         sent = {name: side.talkers['arduino'].answer() for name, side in sides.items()}
         time.sleep(_SETTLE)
         for name, side in sides.items():
-            errors, distances = stamp_errors(
-                sent[name], subscriber.ask('take', node=side.node), round(_LEARN * 100))
+            errors, distances = stamp_errors(sent[name], subscriber.ask('take', node=side.node))
             figures.update({
-                f'{name}: error p50, ms': _figure(median, errors),
-                f'{name}: error p99, ms': _figure(lambda values: percentile(values, 99), errors),
-                f'{name}: distance p99, ms':
-                    _figure(lambda values: percentile(values, 99), distances),
-                f'{name}: {SCHEDSTAT}': (threads_of(side.child.pid)[_ALL, _CPU_MS] - before[name])
-                / 10 / (_LEARN + plan.seconds)})
+                **_error_figures(name, errors), f'{name}: distance p99, ms': _p99(distances),
+                f'{name}: {SCHEDSTAT}':
+                    (threads_of(side.child.pid)[_ALL, _CPU_MS] - before[name]) / 10 / seconds})
         return figures
 
-    def lines(batches: Dict[str, float]) -> Results:
-        return _in_turn(plan, {name: lambda batch=batch: round_with(batch)
-                               for name, batch in batches.items()})
+    def line(batch: float) -> Figures:
+        # The lines are not compared. Each begins with a clock that the bridge does not know.
+        sides['board'].talkers['arduino'].ask('boot')
+        round_with(batch, 2 * plan.seconds)
+        return _in_turn(plan, {'': lambda: round_with(batch, plan.seconds)})['']
 
-    found = lines({'tty': 0.0, '1 ms': 0.001, '16 ms': 0.016})
+    found = {name: line(batch) for name, batch in (('tty', 0.0), ('1 ms', 0.001), ('16 ms', 0.016))}
     stage.busy(2)
-    return {**found, **lines({'busy': 0.0})}
+    return {**found, 'busy': line(0.0)}
+
+
+def nano(stage: BenchStage, plan: Plan) -> Results:
+    """Stamps of the emulated Nano, whose line delivers each 1 ms, and behind an adapter that
+    delivers each 16 ms. Without the rounds in which the emulator stalled."""
+    servant = stage.servant('nano', 'nano')
+
+    def round_with(batch: float) -> Figures:
+        found = servant.ask('measure', seconds=plan.seconds, batch=batch)
+        return {**_error_figures('board', found['board']),
+                'board: distance p99, ms': _p99(found['distance']),
+                **_error_figures('read', found['read'])}
+
+    return _in_turn(plan, {name: lambda batch=batch: round_with(batch)
+                           for name, batch in (('1 ms', 0.0), ('16 ms', 0.016))})
+
+
+def _error_figures(name: str, errors: List[float]) -> Figures:
+    return {f'{name}: error p50, ms': _figure(median, errors),
+            f'{name}: error p99, ms': _p99(errors)}
 
 
 def flood(stage: BenchStage, plan: Plan) -> Results:
@@ -301,4 +321,4 @@ def bus(stage: BenchStage, plan: Plan) -> Results:
 
 
 SECTIONS = {section.__name__: section for section in (
-    latency, busy, stamps, cpu, bus, flood, bridges)}
+    latency, busy, stamps, nano, cpu, bus, flood, bridges)}

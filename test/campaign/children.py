@@ -9,13 +9,13 @@ import itertools
 import signal
 import sys
 import time
-from typing import Callable
+from typing import Dict
 from xmlrpc.client import ServerProxy
 
 import rosgraph
 import rospy
 
-from .robot import COMMANDS, NODE, command_of
+from .robot import COMMANDS, NODE, command_of, publishers
 
 _PERIOD = 0.01       # s
 
@@ -29,29 +29,26 @@ def subscriber(*topics: str) -> None:
 
 
 def latching(first: str, second: str) -> None:
-    publish = _publisher(latch=True)
-    publish(int(first))
+    of_each = publishers(latch=True)
+    _publish(of_each, int(first))
     print('ready', flush=True)
     for _line in sys.stdin:
         while not _bridge_has_received():   # of two that wait, it would use only the newer one
             time.sleep(_PERIOD)
-        publish(int(second))
+        _publish(of_each, int(second))
 
 
 def numbers(first: str) -> None:
-    publish = _publisher(latch=False)
+    of_each = publishers()
     print('ready', flush=True)
     for value in itertools.count(int(first)):
-        publish(value)
+        _publish(of_each, value)
         time.sleep(0.05)
 
 
-def _publisher(latch: bool) -> Callable[[int], None]:
-    """A function that publishes a number as a command of each type."""
-    publishers = {name: rospy.Publisher(f'{NODE}/{name}', kind, queue_size=10, latch=latch)
-                  for name, (kind, _field) in COMMANDS.items()}
-    return lambda value: [publisher.publish(command_of(name, value))
-                          for name, publisher in publishers.items()] and None
+def _publish(of_each: Dict[str, rospy.Publisher], value: int) -> None:
+    for name, publisher in of_each.items():
+        publisher.publish(command_of(name, value))
 
 
 def _bridge_has_received() -> bool:

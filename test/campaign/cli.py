@@ -6,7 +6,8 @@ import signal
 import sys
 import time
 from argparse import Namespace
-from typing import Any, Dict, Iterator, NamedTuple, Tuple
+from pathlib import Path
+from typing import Any, Dict, Iterator, NamedTuple, Sequence, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
@@ -16,8 +17,9 @@ from .requirements import Table
 from .rig import NAMES, Rig, Scenario
 from .storm import Storm
 
+_LOG_LINES = Path(__file__).with_name('log_lines.txt')
 _ROUND = 3600.0              # s of the statistical part between two exact parts
-_ATTEMPTS = 4                # at a scenario that the machine has spoiled
+_TRIES = 4                   # of a scenario that the machine spoils
 _PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
 _SWITCH_INTERVAL = 5e-4      # s, of Python's threads
 
@@ -28,22 +30,12 @@ class Group(NamedTuple):
     scenarios: Tuple[Scenario, ...]
     parameters: Dict[str, Any] = {}
     network: bool = False       # whether the boards are behind networks
-    events: Tuple[str, ...] = ()    # patterns; if all scenarios were run, its log has each
+    events: Sequence[str] = ()      # patterns; if all scenarios were run, its log has each
 
 
 GROUPS = (
     Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
-           *exact_node.SERIAL, exact_settings.no_rows), events=(
-        'arduino: .* refused: .*clos', 'arduino: .* refused: its stamp',
-        'arduino: .* refused: .*latches', 'arduino: .* refused: .*old connection',
-        'arduino: .* refused: .*calibrates', 'arduino: LED .*refused', 'arduino: .*stalled for',
-        'arduino: no speed command for 0.5 s', 'arduino: speed 5000 is out of range',
-        'arduino: the port takes no data', 'arduino: the port closed while the car may',
-        'arduino: .*announces hoist_70, gauge_71', 'arduino: .*winch.* left out',
-        'arduino: framing', 'arduino: length', 'arduino: unknown type', 'arduino: implausible',
-        'arduino: oversize', 'mcu: checksum', 'mcu: framing', 'mcu: length', 'bus: checksum',
-        'bus: out of step', 'bus: no reply to', 'bus: the board does not answer ECHO',
-        'mcu: .*silent', 'mcu: .* back', '(?s)open.*open.*open')),
+           *exact_node.SERIAL, exact_settings.no_rows), events=_LOG_LINES.read_text().splitlines()),
     Group((exact_node.killed,)),
     Group(exact_settings.SERIAL, exact_settings.PARAMETERS),
     Group((exact_bus.polls, exact_bus.announced), exact_node.POLLING),
@@ -137,20 +129,22 @@ def name_of(scenario: Scenario) -> str:
 
 def carry_out(rig: Rig, scenario: Scenario) -> None:
     """Run a scenario of the exact part; again if a check was not decided, or if something was
-    violated and the machine stalled."""
+    violated and the machine stalled. The results of the last try count."""
     table = rig.table
-    for _ in range(_ATTEMPTS):
+    for left in reversed(range(_TRIES)):
         began, before = time.monotonic(), table.results()
-        violations, undecided = table.total('violations'), table.total('undecided')
         _carry_out_once(rig, scenario)
-        if table.total('violations') > violations and rig.machine.stalled(began, time.monotonic()):
-            print(*[f'    the machine stalled: {row.examples[-1]}' for row in table.violated],
-                  sep='\n', file=sys.stderr)
-            table.take_back(before)
-        if table.until in [row.text for row in table.violated]:
-            raise KeyboardInterrupt
-        if table.total('undecided') == undecided:
+        spoiled = table.grown('undecided', before)
+        violated = table.grown('violations', before)
+        if violated:
+            spoiled = violated if rig.machine.stalled(began, time.monotonic()) else []
+        if not spoiled or not left:
             break
+        print(*[f'    spoiled by the machine: {row.text} {row.examples}' for row in spoiled],
+              sep='\n', file=sys.stderr)
+        table.take_back(before)
+    if table.until in [row.text for row in table.violated]:
+        raise KeyboardInterrupt
 
 
 def _carry_out_once(rig: Rig, scenario: Scenario) -> None:

@@ -4,8 +4,9 @@ On serial lines and behind networks, for all links: ports that disappear, lines 
 stalls of the bridge, and resets of the boards.
 """
 import contextlib
+import itertools
 import time
-from typing import Callable, Dict, Iterable, NamedTuple, Tuple
+from typing import Callable, Dict, Iterable, NamedTuple
 
 import by_definition as codec
 from .boards import Reaction, Request, reply_frame
@@ -17,6 +18,7 @@ from .robot import COMMANDS, NOT_SENT
 SYNC_FIRST = 'after a reconnect the first request is SYNC'
 PORT_RETURNS = "data within 1.5 s of the port's return"
 _PORT_RETURN = 1.5       # s
+_NO_OLD_DATA = 'no data from the time of a stall is published over a network'
 _NETWORK_RETURN = 3.0    # s
 _UNSEEN = 1.5            # s: no command that has waited longer unseen reaches the board
 _SILENCE = 5.0           # s: mcu/network_silence
@@ -24,31 +26,30 @@ _RESUMES = 1.0           # s
 
 
 def openings(rig: Rig) -> None:
-    """All ports disappear, while the car stands or drives and a call is outstanding, and return,
-    also as other devices."""
+    """All ports disappear, while the car stands or drives and a call is outstanding, and return:
+    later, or at once as other devices."""
     returns, sync = rig.row(PORT_RETURNS), rig.row(SYNC_FIRST)
     calls, drive = Calls(rig), Drive(rig)
-    for index in rig.tries(*range(4)):
+    for drives, at_once in rig.tries(*itertools.product((False, True), repeat=2)):
         made = [calls.start_unanswered()]
-        old = [drive.command().number] if index % 2 else []
+        old = [drive.command().number] if drives else []
         for line in rig.lines.values():
             line.unplug()
-        if index < 2:       # later they return at once, within the speed timeout
+        if not at_once:     # else within the speed timeout, and as other devices
             old += drive.publish(5)
             made.append(calls.start('lift'))
             calls.check(made[1], 'while unplugged', 'not sent', QUEUE_TIME)
-        if not index:
             for link in rig.lines:
                 rig.diagnosed(link, 2, 'closed')
             rig.row(STOP_FIRST).check(not rig.robot.call('calibrate_imu').success,
                                       'a closed port calibrates')
         since, count, connection = len(rig.car.packets), len(rig.bus.requests), rig.bus.connection
         rig.bus.react = None
-        with contextlib.nullcontext() if index > 1 else rig.counted(
+        with contextlib.nullcontext() if at_once else rig.counted(
                 rig.row('the counters in /diagnostics are exact'), 'mcu', {'reconnects': 1}):
             began = time.monotonic()
             for line in rig.lines.values():
-                line.plug(another_name=index > 1)
+                line.plug(another_name=at_once)
             rig.wait_for_data('mcu/cliff', rig.sensors.cliff, returns)
             returned = time.monotonic()
             rig.wait(lambda: rig.car.beats and len(rig.bus.requests) > count, 'ports are opened')
@@ -62,7 +63,7 @@ def openings(rig: Rig) -> None:
             calls.check_received(call.key, 0, 'from before the reconnect', connection)
         rig.wait_beats(AFTER)
         stop = check_first(rig)
-        if index < 2:       # else one is held back, until the board at this pty sends something
+        if not at_once:     # else one is held back, until the board at this pty sends something
             check_repetitions(rig, stop)
         drive.check_not_sent(old, 'from before the reconnect', since)
         drive.command_until_accepted()
@@ -96,8 +97,9 @@ def lent(rig: Rig) -> None:
         rig.car_line.drain()
         required.check(not rig.car.first and len(rig.bus.requests) == count,
                        f'{rig.car.first} or {rig.bus.requests[count:]} was sent')
-        rig.diagnosed('arduino', 1, 'lent to campaign')
-        ends_at = release(0.0) if is_given_back else ends_at
+        if is_given_back:
+            rig.diagnosed('arduino', 1, 'lent to campaign')
+            ends_at = release(0.0)
         required.wait(lambda: rig.car.beats and len(rig.bus.requests) > count, 'they are opened')
         rig.in_time(required, ends_at, check_first(rig).t, _PORT_RETURN, f'{seconds:g} s')
         rig.row(SYNC_FIRST).check(rig.bus.requests[count].cmd1 == codec.SYNC, 'not SYNC')
@@ -254,28 +256,18 @@ def short_stall(rig: Rig) -> None:
 def stalls(rig: Rig) -> None:
     """SIGSTOP of the bridge, while commands are published, services called and data sent. A reply
     and data wait; over a network they are dropped with the connection."""
+    counted = rig.row('bytes that waited during a stall are dropped, counted as stale')
     for seconds in rig.tries(*((0.7, 1.5) if rig.is_network else (0.4, 0.7, 1.2))):
-        stale: Tuple[Dict[str, int], ...] = ({}, {}) if rig.is_network else (
-            {'stale': 0}, {'stale': 0})
-        counted = rig.row('bytes that waited during a stall are dropped, counted as stale')
-        with rig.counted(counted, 'arduino', stale[0]), rig.counted(counted, 'mcu', stale[1]):
-            _stall(rig, seconds)
-            for board, counters in zip((rig.car, rig.sensors), stale):
-                counters.update({key: len(b''.join(board.written)) for key in counters})
-        required = rig.row('no data from the time of a stall is published over a network') \
-            if rig.is_network else counted
-        for topic in {each.topic for each in rig.car.sent + rig.sensors.sent}:
-            published = rig.robot.values(topic)
-            required.check(not published, f'{topic}: {published[:3]} was published')
-        returns = rig.row('data is published again within 1 s of a stall')
-        began = time.monotonic()
-        rig.wait_for_data('~counter', rig.car.measure, returns)
-        rig.in_time(returns, began, time.monotonic(), _RESUMES, f'{seconds:g} s')
+        stale: Dict[str, Dict[str, int]] = {
+            link: {} if rig.is_network else {'stale': 0} for link in ('arduino', 'mcu')}
+        with rig.counted(counted, 'arduino', stale['arduino']), \
+                rig.counted(counted, 'mcu', stale['mcu']):
+            _stall(rig, seconds, stale)
         Drive(rig).command_until_accepted()
-        rig.car.talks = True
 
 
-def _stall(rig: Rig, seconds: float) -> None:
+def _stall(rig: Rig, seconds: float, stale: Dict[str, Dict[str, int]]) -> None:
+    """Fills in how many bytes are dropped by each link."""
     old_calls = rig.row('a call from the time of a stall, or 0.5 s after it, is not sent')
     calls, drive, car = Calls(rig), Drive(rig), rig.car
     outstanding = calls.start_unanswered()
@@ -292,14 +284,19 @@ def _stall(rig: Rig, seconds: float) -> None:
         for number in range(1, 5):
             rig.measure()
             rig.sleep(held_at + seconds * number / 4 - time.monotonic())
-    rig.bus.react = None
+        for board in car, rig.sensors:
+            wanted = stale[board.line.name]
+            wanted.update({key: len(b''.join(board.written)) for key in wanted})
+    resumed_at, rig.bus.react = time.monotonic(), None
     made.append(calls.start('lift'))
+    rig.wait_beats(AFTER)
+    _check_data_after_stall(rig, resumed_at)
+    car.talks = True
     calls.check(outstanding, 'stall', 'not known', MOTION_TIMEOUT + seconds)
     for call in made:
         outcome, executed = call.result(), rig.bus.executed[call.key]
         old_calls.check(outcome.status == NOT_SENT and not executed,
                         f'{call.service}: {outcome}, executed {executed} times')
-    rig.wait_beats(AFTER)
     outcome = calibrated()
     sent = [each for each in car.packets if each.type == codec.CALIBRATION]
     old_calls.check(not outcome.success and not sent, f'calibrate_imu: {outcome}')
@@ -307,12 +304,23 @@ def _stall(rig: Rig, seconds: float) -> None:
     if seconds > 0.5:
         drive.check_not_sent(old, 'commanded while the bridge was suspended', since)
     if rig.is_network:
-        rig.row('no data from the time of a stall is published over a network').check(
-            car.connection > connection, 'the port was not opened anew')
+        rig.row(_NO_OLD_DATA).check(car.connection > connection, 'the port was not opened anew')
         check_first(rig)
     elif seconds > 0.5:
         check_stop_first(rig, 'SPEED 0 is the first packet after a stall of over 0.5 s', since,
                          beats)
+
+
+def _check_data_after_stall(rig: Rig, resumed_at: float) -> None:
+    """What was sent during the stall is not published; what is sent now is."""
+    required = rig.row(_NO_OLD_DATA if rig.is_network else
+                       'bytes that waited during a stall are dropped, counted as stale')
+    for topic in {each.topic for each in rig.car.sent + rig.sensors.sent}:
+        published = rig.robot.values(topic)
+        required.check(not published, f'{topic}: {published[:3]} was published')
+    returns = rig.row('data is published again within 1 s of a stall')
+    rig.wait_for_data('~counter', rig.car.measure, returns)
+    rig.in_time(returns, resumed_at, time.monotonic(), _RESUMES, 'data')
 
 
 def resets(rig: Rig) -> None:

@@ -136,9 +136,10 @@ class SerialLine(threading.Thread):
         self.frozen = False
 
     def drain(self) -> None:
-        """Read all that a suspended bridge has written, however long the kernel delays it."""
-        before, self._bytes_read = -1, 0
-        while before != self._bytes_read:
+        """Read all that a bridge has written that writes no more, however long the kernel delays
+        it: until nothing comes, for 2 s at most."""
+        deadline, before, self._bytes_read = time.monotonic() + 2.0, -1, 0
+        while before != self._bytes_read and time.monotonic() < deadline:
             before = self._bytes_read
             time.sleep(_PTY_DELAY)
             self.read_all()

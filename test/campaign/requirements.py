@@ -1,6 +1,5 @@
 """The requirements that a campaign checks, their results, and the table of them."""
 import math
-import threading
 import time
 from pathlib import Path
 from typing import Any, Callable, Dict, List, Tuple
@@ -24,17 +23,14 @@ class Requirement:
         self.examples: List[str] = []       # descriptions of the first violations
         self._violated_at = 0.0
         self._worst, self._unit = float('-inf'), ''
-        self._lock = threading.Lock()
 
     def check(self, holds: Any, text: str) -> bool:
         """Count one check; `text` describes the violation."""
-        with self._lock:
-            self.checks += 1
-            if not holds:
-                self._violated_at = self._violated_at or time.monotonic()
-                self.violations += 1
-                self.examples = [*self.examples, text[:300]][:_EXAMPLES]
+        self.checks += 1
         if not holds:
+            self._violated_at = self._violated_at or time.monotonic()
+            self.violations += 1
+            self.examples = [*self.examples, text[:300]][:_EXAMPLES]
             for on_violation in list(self._table.on_violation):
                 on_violation(self.text, text)
         return bool(holds)
@@ -79,6 +75,9 @@ class Requirement:
                 else 'NOT DECIDED TOO OFTEN' if self.is_undecided else '')
 
 
+Results = Dict[Requirement, Dict[str, Any]]
+
+
 class Table:
     """All requirements of rows.txt: by group, with how often each has to be checked at least.
 
@@ -121,19 +120,20 @@ class Table:
         """Those that were checked, or should have been."""
         return [each for each in self.rows if each.checks or each.undecided or each.least]
 
-    def total(self, what: str) -> int:
-        """Of all requirements the `violations`, or what is `undecided`."""
-        return sum(getattr(each, what) for each in self.rows)
-
-    def results(self) -> Dict[Requirement, Dict[str, Any]]:
-        """All results so far, for `take_back`."""
+    def results(self) -> Results:
+        """All results so far."""
         return {row: dict(vars(row)) for row in self.rows}
 
-    def take_back(self, results: Dict[Requirement, Dict[str, Any]]) -> None:
-        """Forget all later results; what has been violated since then is not decided."""
+    @staticmethod
+    def grown(what: str, since: Results) -> List[Requirement]:
+        """The requirements with more `violations`, or more `undecided` checks, since then."""
+        return [row for row, before in since.items() if vars(row)[what] > before[what]]
+
+    @staticmethod
+    def take_back(results: Results) -> None:
+        """Forget all later results."""
         for row, before in results.items():
-            undecided = row.undecided + (row.violations > before['violations'])
-            vars(row).update(before, undecided=undecided)
+            vars(row).update(before)
 
     @property
     def violated(self) -> List[Requirement]:
@@ -165,6 +165,7 @@ class Table:
                  else 'each tried as often as it has to be' if any(self.runs.values())
                  else 'only a part of the scenarios was run')
         too_often = sum(each.is_undecided for each in self.used)
+        undecided = sum(each.undecided for each in self.used)
         return (f'{len(self.used)} requirements, {tried}; {len(self.violated)} violated; '
-                f'{self.total("undecided")} checks not decided' + (
+                f'{undecided} checks not decided' + (
                     f', too many of {too_often} requirements' if too_often else ''))

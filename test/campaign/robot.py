@@ -46,16 +46,12 @@ class Outcome(NamedTuple):
 
     success: bool
     status: Optional[int]    # None: the service has none
-    seconds: float
     message: str
     data: bytes = b''
     error_code: int = 0
     reading: Any = None      # of get_environment, as it is published
+    began: float = 0.0
     ended: float = 0.0
-
-    @property
-    def began(self) -> float:
-        return self.ended - self.seconds
 
     @property
     def name(self) -> str:
@@ -155,6 +151,12 @@ def command_of(name: str, value: Any, stamp: float = 0.0) -> Any:
     return message
 
 
+def publishers(latch: bool = False) -> Dict[str, rospy.Publisher]:
+    """A publisher of each command."""
+    return {name: rospy.Publisher(f'{NODE}/{name}', kind, queue_size=100, tcp_nodelay=True,
+                                  latch=latch) for name, (kind, _field) in COMMANDS.items()}
+
+
 class Robot:
     """Has a publisher of each command, a subscriber of each topic, and callers."""
 
@@ -165,9 +167,7 @@ class Robot:
         self.reports: Dict[str, Tuple[float, int, str, Dict[str, str]]] = {}    # of /diagnostics
         self.on_message: Callable[[str, Published], None] = self.keep
         self._pool = ThreadPoolExecutor(32)
-        self._publishers = {
-            name: rospy.Publisher(f'{NODE}/{name}', kind, queue_size=100, tcp_nodelay=True)
-            for name, (kind, _field) in COMMANDS.items()}
+        self._publishers = publishers()
         self._subscribers = [
             *(rospy.Subscriber(topic.replace('~', NODE + '/'), kind, self._receive,
                                (topic, to_key), tcp_nodelay=True)
@@ -243,11 +243,11 @@ class Robot:
             response = rospy.ServiceProxy(f'{NODE}/{service}', SERVICES[service])(*arguments)
         except (rospy.ServiceException, rospy.ROSException, OSError) as error:
             response = SimpleNamespace(success=False, status=None, message=repr(error))
-        now = time.monotonic()
         return Outcome(getattr(response, 'success', True), getattr(response, 'status', None),
-                       now - began, getattr(response, 'message', ''),
-                       bytes(getattr(response, 'data', b'')), getattr(response, 'error_code', 0),
-                       _environment(getattr(response, 'environment', Environment())), now)
+                       getattr(response, 'message', ''), bytes(getattr(response, 'data', b'')),
+                       getattr(response, 'error_code', 0),
+                       _environment(getattr(response, 'environment', Environment())),
+                       began, time.monotonic())
 
     def start_call(self, service: str, *arguments: Any) -> Callable[[], Outcome]:
         """Start a call; return a function that waits for its outcome."""

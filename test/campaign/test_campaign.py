@@ -292,7 +292,7 @@ def test_the_write_of_a_frame_may_be_noted_after_its_read(line):
 
 def test_every_broken_bridge_applies():
     found = broken.all_broken()
-    assert len(found) >= 60 and all(each.files() for each in found)
+    assert len(found) >= 80 and all(each.files() for each in found)
     assert {each.requirement for each in found} <= {
         row.text for row in Table().rows}
 

@@ -143,12 +143,12 @@ def test_speeds_that_were_not_commanded_or_are_old(rig, motor):
 
 
 @pytest.mark.parametrize('outcome, executed, violated', [
-    (Outcome(True, 2, 0.1, '', TOKEN), 1, ''), (Outcome(True, 2, 0.1, '', TOKEN), 0, 'done'),
-    (Outcome(True, 2, 0.1, '', TOKEN), 2, 'done'), (Outcome(False, 3, 0.1, ''), 0, ''),
-    (Outcome(False, 3, 0.1, ''), 1, 'refused'), (Outcome(False, NOT_SENT, 0.1, ''), 1, 'refused'),
-    (Outcome(False, TIMEOUT, 0.1, ''), 1, ''), (Outcome(False, TIMEOUT, 0.1, ''), 2, 'not known'),
-    (Outcome(True, 2, 0.1, '', b'else'), 1, 'its own reply'),
-    (Outcome(False, None, 9.0, 'error'), 0, 'returns')])
+    (Outcome(True, 2, '', TOKEN), 1, ''), (Outcome(True, 2, '', TOKEN), 0, 'done'),
+    (Outcome(True, 2, '', TOKEN), 2, 'done'), (Outcome(False, 3, ''), 0, ''),
+    (Outcome(False, 3, ''), 1, 'refused'), (Outcome(False, NOT_SENT, ''), 1, 'refused'),
+    (Outcome(False, TIMEOUT, ''), 1, ''), (Outcome(False, TIMEOUT, ''), 2, 'not known'),
+    (Outcome(True, 2, '', b'else'), 1, 'its own reply'),
+    (Outcome(False, None, 'error'), 0, 'returns')])
 def test_outcome_of_a_call(rig, outcome, executed, violated):
     calls = storm_checks.CallCheck(rig)
     calls.executed[MEMORY, TOKEN] = executed

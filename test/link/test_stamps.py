@@ -259,3 +259,45 @@ def test_stamps_over_a_tty(line, logger, running):
     assert [type_ for type_, _stamp in shown[-2:]] == [mcu.Time.TYPE, mcu.AdcStatus.TYPE]
     assert shown[-1][1] >= sent
     assert link.frames_lost == 0
+
+
+def test_a_board_without_time_has_the_stamps_of_its_reads_themselves(logger):
+    """The same objects, however late a read is; and nothing of a clock in /diagnostics."""
+    got, options = [], {'logger': logger, 'earlier': lambda *_: pytest.fail('it has no time')}
+    car = ArduinoLink(Port('/dev/none'), on_message=lambda message, stamp: got.append(stamp),
+                      **options)
+    sensors = McuLink(Port('/dev/none'), on_status=lambda message, seq, stamp: got.append(stamp),
+                      **options)
+    row = arduino.encode(arduino.Ticks(1)) + arduino.encode(arduino.Voltage(12.0))
+    for index in range(10 * LEAST_POINTS):
+        stamp, at = object(), 100.0 + index * PERIOD + index % 3 / 100
+        del got[:]
+        car.connection._receive(row, stamp, at)
+        sensors.connection._receive(mcu.encode(ADC, index), stamp, at)
+        assert len(got) == 3 and all(each is stamp for each in got)
+    assert not any(key in KEYS for link in (car, sensors) for key, _ in link.report(at).values)
+
+
+@pytest.mark.parametrize('sends_time', [False, True])
+def test_no_board_gets_a_byte_for_its_time(line, logger, running, sends_time):
+    link = running(ArduinoLink(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    received = b''
+    for index in range(100):
+        if sends_time:
+            line.write(arduino.encode(arduino.Time(index * 10_000, 1)))
+        line.write(arduino.encode(arduino.Ticks(1)))
+        received += line.read(0.02)
+    until(lambda: link.frames_received == 100 * (1 + sends_time))
+    packets = (received + line.read(1)).split(b'\0')[:-1]
+    assert {packet + b'\0' for packet in packets} == {
+        arduino.encode(arduino.SpeedCommand(0)), arduino.encode(arduino.Heartbeat())}
+
+
+def test_nothing_is_written_to_a_sensor_board_that_sends_its_time(line, logger, running):
+    link = running(McuLink(Port(line.path), logger=logger))
+    until(lambda: link.port.is_open)
+    for seq in range(0, 200, 2):
+        line.write(mcu.encode(mcu.Time(seq * 5_000), seq) + mcu.encode(ADC, seq + 1))
+    until(lambda: link.frames_received == 200)
+    assert line.read_all() == b''

@@ -26,6 +26,8 @@ from boards import Bridge, Line, program  # noqa: E402
 from panel_browser import Browser  # noqa: E402
 
 HISTORY = 45            # s before a picture, so that the plots have data
+WIDTH, HEIGHT = 1180, 1000   # of the page: its text can still be read at the width of a README
+SCENES, PACE = 20, 0.5      # pictures of the animation, and s from one to the next
 COLUMNS, ROWS = 100, 34  # of the terminal
 SPEED, STEERING = 300, 1650
 
@@ -57,6 +59,20 @@ def save(picture, path):
     subprocess.run(['convert', '-', '-strip', '-dither', 'None', '-colors', '128',
                     '-define', 'png:compression-level=9', f'png8:{path}'],
                    input=picture, check=True)
+    print(f'{path}: {path.stat().st_size / 1024:.0f} KiB', flush=True)
+
+
+def animate(browser, path):
+    """Save an animation of the page."""
+    with tempfile.TemporaryDirectory(prefix='scenes_') as folder:
+        scenes = [Path(folder, f'{number:02d}.png') for number in range(SCENES)]
+        for scene in scenes:
+            began = time.monotonic()
+            scene.write_bytes(browser.picture())
+            time.sleep(max(0.0, began + PACE - time.monotonic()))
+        subprocess.run(['convert', '-delay', f'{PACE * 100:.0f}', '-loop', '0', *map(str, scenes),
+                        '-resize', '800x', '-dither', 'None', '-colors', '48', '+map',
+                        '-layers', 'optimize', str(path)], check=True)
     print(f'{path}: {path.stat().st_size / 1024:.0f} KiB', flush=True)
 
 
@@ -107,8 +123,8 @@ def take_terminal(browser, folder, out):
     save(browser.picture(), out / 'terminal.png')
 
 
-def take_intact(browser, out):
-    """Take the page on a wide screen and on a phone, and rviz."""
+def take_rviz(out):
+    """Take rviz on a virtual screen."""
     reading, writing = os.pipe()
     with contextlib.ExitStack() as stack:
         stack.enter_context(running('Xvfb', '-displayfd', str(writing), '-screen', '0',
@@ -119,9 +135,20 @@ def take_intact(browser, out):
         stack.enter_context(running('roslaunch', 'serial_communication', 'view.launch',
                                     'sim:=true', env={**os.environ, 'DISPLAY': display}))
         driving(stack)
+        time.sleep(HISTORY)
+        save(subprocess.run(['import', '-display', display, '-window', 'root', 'png:-'],
+                            stdout=subprocess.PIPE, check=True).stdout, out / 'rviz.png')
+
+
+def take_intact(browser, folder, out):
+    """Take the page, an animation of it, and the terminal. rviz would take the processor."""
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(running('roslaunch', 'serial_communication', 'bridge.launch',
+                                    'sim:=true'))
+        driving(stack)
         panel = panel_helpers.Panel('--control')
         stack.callback(panel.end)
-        browser.resize(1600, 1000)
+        browser.resize(WIDTH, HEIGHT)
         browser.open(panel.url)
         browser.wait(lambda page: page.attribute('[data-link="bus"]', 'data-health') == 'ok',
                      'the bridge runs', 60)
@@ -131,16 +158,14 @@ def take_intact(browser, out):
             browser.click(f'[data-service="{service}"] button:nth-of-type({button})')
             browser.wait(lambda page: page.all(f'[data-service="{service}"] button')[0]
                          .is_enabled(), 'the call is answered')
+        browser.wait(lambda page: not page.all('[data-state="stale"]'), 'all values are new')
         save(browser.picture(), out / 'panel.png')
-        browser.resize(390, 844, 2)
-        time.sleep(1)
-        save(browser.picture(), out / 'panel_phone.png')
-        save(subprocess.run(['import', '-display', display, '-window', 'root', 'png:-'],
-                            stdout=subprocess.PIPE, check=True).stdout, out / 'rviz.png')
+        animate(browser, out / 'panel.gif')
+        take_terminal(browser, folder, out)
 
 
 def take_faulty(browser, folder, out):
-    """Take the page in dark mode, the wire and the terminal; one cable is bad, one unplugged."""
+    """Take the page in dark mode and the wire; one cable is bad, one unplugged."""
     lines = {name: Line(str(folder / name)).plug() for name in ('bus', 'arduino', 'mcu')}
     with contextlib.ExitStack() as stack:
         for name, line in lines.items():
@@ -153,7 +178,7 @@ def take_faulty(browser, folder, out):
         driving(stack)
         panel = panel_helpers.Panel()
         stack.callback(panel.end)
-        browser.resize(1600, 1000)
+        browser.resize(WIDTH, HEIGHT)
         browser.scheme('dark')
         browser.open(panel.url)
         browser.wait(lambda page: page.attribute('[data-link="arduino"]', 'data-health') == 'warn',
@@ -170,7 +195,6 @@ def take_faulty(browser, folder, out):
                        "document.getElementById('card-wire').scrollIntoView()")
         browser.wait(lambda page: page.all('.fields'), 'it is explained')
         save(browser.picture('#card-wire'), out / 'panel_wire.png')
-        take_terminal(browser, folder, out)
 
 
 def take_stamps(browser, folder, out):
@@ -195,8 +219,9 @@ def main():
         try:
             tuning_picture.make(out)
             take_stamps(browser, Path(folder), out)
-            take_intact(browser, out)
+            take_intact(browser, Path(folder), out)
             take_faulty(browser, Path(folder), out)
+            take_rviz(out)
         finally:
             browser.quit()
             core.stop()

@@ -756,7 +756,7 @@ def test_a_reset_is_asked_for_and_a_lent_link_takes_no_command(control_page, rob
     control_page.click(reset + 'dialog button:last-of-type')
     assert not any('reset' in each for each in control_page.texts('.answers li'))
     press(control_page, reset + 'button',
-          lambda page: 'reset the board refused' in ''.join(page.texts('.answers li')[:1]),
+          lambda page: 'reset the car refused' in ''.join(page.texts('.answers li')[:1]),
           'a pseudo terminal has no line for it',
           lambda button: (control_page.click(button), control_page.click(reset + 'dialog button')))
     assert 'has no control lines' in control_page.text('.answers li')

@@ -40,11 +40,11 @@ def test_latencies_exclude_packets_of_an_earlier_round():
     assert report.latencies(sent, received) == [0.25, 0.25, 0.5]
 
 
-def test_errors_of_stamps_are_those_of_whole_turns_from_the_first_that_counts():
+def test_errors_of_stamps_are_those_of_whole_turns():
     received = [(0, 0, 9.9, 1.5), (0, 1, 9.9, 2.25), (1, 1, 9.9, 7.0), (0, 2, 9.9, 2.5),
                 (0, 4, 9.9, 5.5)]
-    errors, distances = report.stamp_errors([1.0, 2.0, 3.0, 4.0, 5.0], received, 1)
-    assert (errors, distances) == ([0.25, 0.5, 0.5], [0.75])
+    errors, distances = report.stamp_errors([1.0, 2.0, 3.0, 4.0, 5.0], received)
+    assert (errors, distances) == ([0.5, 0.25, 0.5, 0.5], [0.25, 0.75])
 
 
 def test_gaps_count_only_while_a_call_waits():

@@ -41,7 +41,7 @@ DESCRIPTION = Description(
     services=(Service('~calibrate_imu', 'std_srvs/Empty', 'calibrate the IMU', confirm=(
         'The car must not move for over five minutes. During that time it takes no commands and '
         'sends no IMU data.')),
-        Service('~arduino/reset', 'std_srvs/Trigger', 'reset the board', confirm=(
+        Service('~arduino/reset', 'std_srvs/Trigger', 'reset the car', confirm=(
             'The car stops, and its board starts anew.'))),
     other_names=('~speed', '~steering', '~led'),
     custom=CustomRows('messages', custom_messages, '~'),

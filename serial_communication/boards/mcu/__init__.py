@@ -36,7 +36,7 @@ DESCRIPTION = Description(
         Topic('mcu/imu', 'sensor_msgs/Imu', card=None),
         Topic('mcu/range_1', 'sensor_msgs/Range', card='Ranges'),
         Topic('mcu/range_2', 'sensor_msgs/Range', card='Ranges')),
-    services=(Service('~mcu/reset', 'std_srvs/Trigger', 'reset the board', confirm=(
+    services=(Service('~mcu/reset', 'std_srvs/Trigger', 'reset the sensor board', confirm=(
         'The board starts anew; its measurements are missing until then.')),),
     custom=CustomRows('messages', custom_messages, 'mcu/'),
     settings=CustomRows('settings', settings, '~settings/mcu/'),

@@ -2,9 +2,9 @@
 
 The bridge stops the car (SPEED 0), closes the port of the LINK, and opens it again when the
 command ends or is killed. If this program is killed, so is the command, and the bridge opens the
-port after a few seconds. {port} in the COMMAND is the device. Exit status: the command's, 128 and
-the number of the signal that ended it, 127 if it cannot be started, 125 if the port is not lent, 2
-for a wrong argument.
+port after a few seconds. {port} in the COMMAND is the device, and so this has to run on the
+machine of the bridge. Exit status: the command's, 128 and the number of the signal that ended it,
+127 if it cannot be started, 125 if the port is not lent, 2 for a wrong argument.
 """
 import argparse
 import ctypes
@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 from typing import Any, List, Optional
+from urllib.parse import urlsplit
 
 import rosgraph
 import serial
@@ -87,16 +88,21 @@ def _say(text: str, status: int) -> int:
 
 
 def _device(node: str, link: str) -> str:
-    """The device of a link's port, or its URL; ValueError, OSError if there is none."""
+    """The device of a link's port, or its URL; ValueError, OSError if there is none here."""
+    master = rosgraph.Master('/release')
     try:
-        url = rosgraph.Master('/release').getParam(f'{node}/{link}/port')
+        url = master.getParam(f'{node}/{link}/port')
+        host = urlsplit(master.lookupNode(node)).hostname or ''
     except rosgraph.MasterException:
         raise ValueError(f'there is no bridge {node} with a port of {link}') from None
     except OSError:
         raise ValueError(f'no answer from the ROS master at {rosgraph.get_master_uri()}') from None
     if not url:
         raise ValueError(f'the link {link} is off: it has no port')
-    return serial.serial_for_url(url, do_not_open=True).port or url
+    device = serial.serial_for_url(url, do_not_open=True).port or url
+    if '://' not in device and not rosgraph.network.is_local_address(host):
+        raise ValueError(f'{device} is a device of {host}, where the bridge runs: run this there')
+    return device
 
 
 class _Loan:
