@@ -524,8 +524,9 @@ CASE_FOR_A_TEST(settings_through_a_full_port) {
   PacketLink bridge(uart);
   bridge.settings(settings);
   bridge.update();                                 // the port is empty once
-  for (; now_ms < 3000; uart.pass()) {
-    uart.waiting = now_ms % 200 < 150 ? 60 : 50;    // room for a setting in 50 of 200 ms
+  for (; now_ms < 9000; uart.pass()) {
+    // Room for a setting and for 40 bytes more in 50 of 200 ms, and later never for these.
+    uart.waiting = now_ms >= 3000 ? 40 : now_ms % 200 < 150 ? 60 : 15;
     if (now_ms % 200 == 0) received = packet_of("\x04\x07") + packet_of("\x02" + std::string("\x10\0", 2));
     bridge.update();
   }

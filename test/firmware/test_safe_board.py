@@ -7,8 +7,8 @@ import struct
 import pytest
 
 from board_ends import (
-    CALIBRATION, GRIPPER, HEARTBEAT, LED, LIFT, OK, PUMP, SPEED, STEERING, UP, WARN, Car, Frames, Master,
-    drive_until, driving, packet, request,
+    CALIBRATION, GRIPPER, HEARTBEAT, LED, LIFT, OK, PUMP, SETTING, SPEED, STEERING, UP, WARN, Car,
+    Frames, Master, drive_until, driving, packet, request,
 )
 from emulated_board import FIRMWARE, EmulatedBoard
 from test_motor_stop import ROUNDS, print_times
@@ -186,6 +186,9 @@ FLOODS = {
     'speed': ('nano_car_emulated', packet(SPEED, b'\xbc\x02')),
     'commands of another size': ('nano_car_custom', packet(GRIPPER, b'\x01')),
     'calibrations without an IMU': ('Car', packet(CALIBRATION)),
+    'settings': ('nano_car_emulated', packet(SETTING, b'\x01\x00\x00') + packet(
+        SETTING, b'\x02\xc8\x00') + packet(SETTING, b'\x01\x01\x00') + packet(
+            SETTING, b'\x02\xc9\x00') + packet(SETTING, b'\x03\x64')),
 }
 
 

@@ -40,9 +40,10 @@ def picture(responses):
     parts = [f'<line x1="{_LEFT}" x2="{x(SECONDS)}" y1="{y(speed)}" y2="{y(speed)}"/>'
              f'<text x="{_LEFT - 10}" y="{y(speed) + 5}" text-anchor="end">{speed}</text>'
              for speed in range(0, _MOST + 1, 2)]
-    parts += [f'<text x="{x(half / 2)}" y="{_TOP + _HEIGHT + 25}" text-anchor="middle">{half / 2:g} s'
-              '</text>' for half in range(2 * SECONDS + 1)]
-    parts.append(f'<path d="M{_LEFT} {y(STEP)}H{x(SECONDS)}" stroke="#333" stroke-dasharray="6 4"/>')
+    parts += [f'<text x="{x(half / 2)}" y="{_TOP + _HEIGHT + 25}" text-anchor="middle">'
+              f'{half / 2:g} s</text>' for half in range(2 * SECONDS + 1)]
+    parts.append(f'<path d="M{_LEFT} {y(STEP)}H{x(SECONDS)}" stroke="#333" '
+                 'stroke-dasharray="6 4"/>')
     for index, (found, (gains, color, words)) in enumerate(zip(responses, CURVES)):
         points = ' '.join(f'{x(0.01 * at):.1f},{y(speed):.1f}' for at, speed in enumerate(found))
         values = ', '.join(f'{name} {gain}' for name, gain in zip(GAINS, gains))

@@ -12,7 +12,7 @@ _TEST = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 sys.path.insert(0, os.path.join(_TEST, 'firmware'))
 
 from emulated_board import (  # noqa: E402  pylint: disable=wrong-import-position
-    FIRMWARE, EmulatedBoard, build_firmware)
+    EmulatedBoard, build_firmware)
 
 
 class OnBoard(unittest.TestCase):

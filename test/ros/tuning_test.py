@@ -15,11 +15,12 @@ import rospy
 import rostest
 from std_msgs.msg import Float32
 
-from avr_boards import ANNOUNCED, FIRMWARE, build_firmware
+from avr_boards import ANNOUNCED, build_firmware
 from boards import PACKAGE, PATIENCE, again_if_stalled, own_folder, until
 
-PAGE = os.path.join(os.path.dirname(FIRMWARE), 'doc', 'tuning.md')
-SKETCH = os.path.join(FIRMWARE, 'protocol', 'examples', 'Tuning', 'Tuning.ino')
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+PAGE = os.path.join(ROOT, 'doc', 'tuning.md')
+SKETCH = os.path.join(ROOT, 'firmware', 'protocol', 'examples', 'Tuning', 'Tuning.ino')
 STEP = 8.0
 BACKGROUND = 'rosrun serial_communication avr_board', 'roslaunch', 'rostopic pub'
 
@@ -46,13 +47,14 @@ class Tuning(unittest.TestCase):
         self.speeds, self.target = [], 0.0
         self.ended = threading.Event()
         self.addCleanup(self.ended.set)
-        speed = rospy.Subscriber(f'/{PACKAGE}/speed', Float32,
+        speed = rospy.Subscriber(f'/{PACKAGE}/wheel_speed', Float32,
                                  lambda message: self.speeds.append(message.data))
         self.addCleanup(speed.unregister)
 
     def run_line(self, line):
-        for shown, here in (('$PWD/build', self.build), ('build/sketches', self.build + '/sketches'),
-                            ('/tmp/wheel', self.folder + '/wheel')):
+        for shown, here in (
+                ('$PWD/build', self.build), ('build/sketches', self.build + '/sketches'),
+                ('/tmp/wheel', self.folder + '/wheel')):
             line = line.replace(shown, here)
         if ' avr_board ' in line:
             line += f' --control {self.folder}/control'

@@ -66,7 +66,8 @@ class FrameLink : public StxEtxSender<StreamSink> {
     const bool due = send_chunk(link);
     if (due) link.settings_.report_one();
     uint8_t setting[SettingsTable::kMaxData];
-    const uint8_t size = link.settings_.next(link.buffer_, kFraming, setting);
+    const uint8_t room = SettingsTable::kMaxData + kFraming + (due ? 0 : SettingsTable::kLeftFree);
+    const uint8_t size = link.settings_.next(link.buffer_, room, setting);
     if (size > 0) link.send_frame(kTypeSetting, setting, size);
     return due;
   }

@@ -119,7 +119,7 @@ class PacketLink : public PacketSender<StreamSink> {
   };
   typedef void (*Call)(Target target, const uint8_t* data, size_t size);
   static const uint8_t kMaxWarning = 60;     // bytes on the wire
-  static const uint8_t kSettingFraming = 3;  // type, COBS, 0x00
+  static const uint8_t kSettingSize = SettingsTable::kMaxData + 3;  // type, COBS, 0x00
 
   struct Handler {
     Call call;
@@ -160,7 +160,8 @@ class PacketLink : public PacketSender<StreamSink> {
     const bool due = send_chunk(link, now);
     if (due) link.settings_.report_one();
     uint8_t setting[SettingsTable::kMaxData];
-    const uint8_t size = link.settings_.next(link.buffer_, kSettingFraming, setting);
+    const uint8_t room = due ? kSettingSize : kSettingSize + SettingsTable::kLeftFree;
+    const uint8_t size = link.settings_.next(link.buffer_, room, setting);
     if (size > 0) link.send(MessageType::Setting, setting, size);
     return due;
   }

@@ -20,7 +20,8 @@
 //
 // What arrives is limited, written to the variable with interrupts disabled, and answered with the value in use. All
 // settings are reported after the start, and then in turn, one each time a chunk of an announcement would be due.
-// Nothing waits for room to send. After a reset each has its value at the start; the bridge then sends those that
+// Nothing waits for room to send, and an answer leaves 40 bytes of it for the packets of the sketch; where the send
+// buffer never has so much, it leaves with one of the reports. After a reset each has its value at the start; the bridge then sends those that
 // somebody has set.
 
 #ifndef SERIAL_COMMUNICATION_SETTINGS_H
@@ -115,6 +116,7 @@ class SettingsTable {
  public:
   static const uint8_t kMost = 16;  // as many as an announcement has rows
   static const uint8_t kMaxData = 5;
+  static const uint8_t kLeftFree = 40;  // bytes of the send buffer
 
   template <size_t Count>
   void begin(const Setting (&table)[Count], void (*changed)(uint8_t number)) {
@@ -123,6 +125,7 @@ class SettingsTable {
     count_ = Count;
     changed_ = changed;
     turn_ = 0;
+    at_ = Count - 1;
     due_ = static_cast<uint16_t>((1ul << Count) - 1);
   }
 
@@ -143,13 +146,14 @@ class SettingsTable {
   }
 
   // Writes the number and the value of a setting that has to be reported to `data`, which has room for kMaxData bytes.
-  // Returns the size; 0: there is none, or no room for it. `framing`: what a packet or frame has besides.
-  uint8_t next(SendBuffer& buffer, uint8_t framing, uint8_t* data) {
-    if (due_ == 0 || !buffer.has_room(kMaxData + framing)) return 0;
-    uint8_t i = 0;
-    while ((due_ >> i & 1) == 0) ++i;
-    due_ &= static_cast<uint16_t>(~(1u << i));
-    const Setting setting = entry(i);
+  // Returns the size; 0: there is none, or the send buffer has less than `room`.
+  uint8_t next(SendBuffer& buffer, uint8_t room, uint8_t* data) {
+    if (due_ == 0 || !buffer.has_room(room)) return 0;
+    do {
+      if (++at_ >= count_) at_ = 0;
+    } while ((due_ >> at_ & 1) == 0);
+    due_ &= static_cast<uint16_t>(~(1u << at_));
+    const Setting setting = entry(at_);
     data[0] = setting.number;
     memcpy(data + 1, setting.variable, setting.size);
     return 1 + setting.size;
@@ -168,6 +172,7 @@ class SettingsTable {
   uint16_t due_;  // a bit for each setting that has to be reported
   uint8_t count_;
   uint8_t turn_;  // the one that is reported next without having been asked for
+  uint8_t at_;    // the one that was reported last
 };
 
 }  // namespace serial_communication

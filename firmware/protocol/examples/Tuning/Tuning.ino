@@ -1,5 +1,5 @@
 // Controls the speed of a wheel by PID. The three gains are settings, which change while it runs: with rqt_reconfigure,
-// dynparam or the page of the bridge. On the computer: ~target and ~speed, in turns a second. For an ATmega328P.
+// dynparam or the page of the bridge. On the computer: ~target and ~wheel_speed, in turns a second. For an ATmega328P.
 //
 // The port belongs to the bridge: do not Serial.print to it.
 
@@ -19,7 +19,7 @@ const char kRows[] PROGMEM =
     "firmware: tuning 1.0\n"
     "target: {type: 32, direction: to_board, ros_type: std_msgs/Float32, layout: '<f', fields: [data],"
     " minimum: 0, maximum: 15}\n"
-    "speed: {type: 33, ros_type: std_msgs/Float32, layout: '<f', fields: [data]}\n"
+    "wheel_speed: {type: 33, ros_type: std_msgs/Float32, layout: '<f', fields: [data]}\n"
     SETTINGS(SETTING_ROW);
 
 struct PACKED Target {
