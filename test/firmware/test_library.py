@@ -72,10 +72,11 @@ def size_in_the_ide(sketch, firmware_build, tmp_path):
 def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
     flash, ram = size_in_the_ide(read(path), firmware_build, tmp_path)
     print('%s: %d bytes of flash, %d of RAM' % (name_of(path), flash, ram))
-    assert flash < 8000 and ram < 700
+    assert flash < (8000 if name_of(path) != 'DiffDrive.ino' else 12000) and ram < 700
 
 
-@pytest.mark.parametrize('example, at_least', [('Hello', 400), ('Sensor', 400), ('Slave', 150)])
+@pytest.mark.parametrize('example, at_least', [
+    ('Hello', 400), ('DiffDrive', 400), ('Sensor', 400), ('Slave', 150)])
 def test_a_sketch_that_announces_nothing_has_no_code_for_it(
         example, at_least, firmware_build, tmp_path):
     sketch = read('%s/examples/%s/%s.ino' % (LIBRARY, example, example))
