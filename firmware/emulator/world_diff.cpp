@@ -25,7 +25,8 @@ const Wiring kRight = {{'B', 2}, {'B', 3}, {'B', 4}, {'D', 3}, {'D', 5}, 0x8A, 0
 
 class Wheel {
  public:
-  Wheel(Mcu& mcu, const OutputPins& pins, Values& values, const std::string& name, const Wiring& wiring, double strength)
+  Wheel(Mcu& mcu, const OutputPins& pins, Values& values, const std::string& name, const Wiring& wiring,
+        double strength)
       : mcu_(mcu), pins_(pins), values_(values), name_(name), wiring_(wiring), strength_(strength) {
     mcu.on_write(wiring.duty, [this] { look_at_pins(); });
     for (const Pin& pin : {wiring.pwm, wiring.forward, wiring.backward}) {

@@ -7,8 +7,8 @@ import struct
 import pytest
 
 from board_ends import (
-    CALIBRATION, GRIPPER, HEARTBEAT, LED, LIFT, OK, PUMP, SPEED, STEERING, UP, WARN, Car, Frames, Master,
-    drive_until, driving, packet, request,
+    CALIBRATION, GRIPPER, HEARTBEAT, LED, LIFT, OK, PUMP, SPEED, STEERING, UP, WARN, Car,
+    Frames, Master, drive_until, driving, packet, request,
 )
 from driven_base import cmd_vel
 from emulated_board import FIRMWARE, EmulatedBoard
