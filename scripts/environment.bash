@@ -28,6 +28,8 @@ bench  | python3-tabulate                            | python3-tabulate
 browser | chromium chromium-driver python3-selenium  |
 avr    | gcc-avr avr-libc arduino-core-avr           | gcc-avr avr-libc arduino-core-avr
 avr    | simavr libsimavr-dev libelf-dev pkg-config  | simavr libsimavr-dev libelf-dev pkg-config
+avr    | avrdude                                     | avrdude
+ide    | arduino-builder arduino-ctags               | arduino-builder arduino-ctags
 esp    | gcc-xtensa-lx106                            | gcc-xtensa-lx106
 # Ubuntu's QEMU is too old: it has no lx106.
 esp    | qemu-system-misc                            |

@@ -59,7 +59,7 @@ const char kUsage[] =
     "  --control PATH  Unix socket of the control channel\n"
     "  --eeprom FILE   keep the EEPROM in FILE\n"
     "  --still         nothing in the world moves by itself\n"
-    "  --bootloader HEX  run this bootloader first after each reset, as a real Nano does\n"
+    "  --bootloader HEX  each opening of the pty starts this bootloader, as of a real Nano\n"
     "  --baud N        speed of the wire towards the board (115200)\n"
     "Arguments like __name:=x, which roslaunch adds, are ignored.\n";
 
@@ -184,6 +184,7 @@ class Board {
     double next_chores = 0;
     int status = 0;
     while (!stop_requested) {
+      if (mcu_.has_bootloader()) act_as_adapter();
       if (!mcu_.run_until(mcu_.cycles() + uint64_t(kSlice * mcu_.frequency()))) {
         fprintf(stderr, "avr_emulator: the program stopped at %.6f s\n", mcu_.seconds());
         status = 1;
@@ -206,6 +207,13 @@ class Board {
   }
 
  private:
+  // What the USB adapter of a Nano does: opening its port resets the chip, and the wire has the speed that is set.
+  void act_as_adapter() {
+    if (serial_.was_opened()) mcu_.dtr();
+    const unsigned baud = serial_.baud();
+    if (baud != 0) mcu_.set_baud(baud);
+  }
+
   void wait_for_wall_clock() {
     for (;;) {
       const double deadline = origin_ + mcu_.seconds();

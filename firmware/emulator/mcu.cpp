@@ -74,7 +74,8 @@ void log_errors(avr_t*, const int level, const char* format, va_list arguments) 
 
 }  // namespace
 
-Mcu::Mcu(const std::string& elf, unsigned baud, const std::string& bootloader) : cycles_per_wire_byte_(10.0 * kFrequency / baud) {
+Mcu::Mcu(const std::string& elf, unsigned baud, const std::string& bootloader)
+    : cycles_per_wire_byte_(10.0 * kFrequency / baud) {
   avr_global_logger_set(log_errors);
   elf_firmware_t firmware;
   memset(&firmware, 0, sizeof firmware);
@@ -132,7 +133,8 @@ Mcu::Mcu(const std::string& elf, unsigned baud, const std::string& bootloader) :
   i2c_lines_changed();
 }
 
-// simavr's own reader stops at records of type 3, which every bootloader of Arduino has.
+// simavr's own reader stops at records of type 3, which every bootloader of Arduino has. A file that goes beyond the
+// flash is refused: Debian's own optiboot_atmega328.hex is 20 bytes too long.
 void Mcu::load_bootloader(const std::string& path) {
   std::ifstream file(path);
   std::string line;
@@ -140,13 +142,16 @@ void Mcu::load_bootloader(const std::string& path) {
     unsigned size, address, type, byte;
     if (sscanf(line.c_str(), ":%2x%4x%2x", &size, &address, &type) != 3 || type != 0) continue;
     if (avr_->reset_pc == 0) avr_->pc = avr_->reset_pc = address;
+    if (address + size > avr_->flashend + 1) throw std::runtime_error("too long for the flash: " + path);
     for (unsigned i = 0; i < size && sscanf(line.c_str() + 9 + 2 * i, "%2x", &byte) == 1; ++i) {
-      avr_->flash[(address + i) & avr_->flashend] = uint8_t(byte);
+      avr_->flash[address + i] = uint8_t(byte);
     }
   }
   if (avr_->reset_pc == 0) throw std::runtime_error("cannot load the bootloader " + path);
   avr_->codeend = avr_->flashend;
 }
+
+bool Mcu::has_bootloader() const { return avr_->reset_pc != 0; }
 
 Mcu::~Mcu() { avr_terminate(avr_); }
 
@@ -243,7 +248,7 @@ void Mcu::power_cycle() {
 void Mcu::dtr() {
   dtr_due_ = false;
   reset();
-  if (avr_->reset_pc != 0) {
+  if (has_bootloader()) {
     avr_regbit_clear(avr_, avr_->reset_flags.porf);
     avr_regbit_set(avr_, avr_->reset_flags.extrf);  // without it a bootloader starts the program at once
     return;

@@ -50,6 +50,7 @@ class Mcu {
   // As when the port of a real Nano is opened: a reset, then a second in the bootloader with all pins floating;
   // the bootloader if there is one.
   void dtr();
+  bool has_bootloader() const;
   // dtr() as soon as an I2C device is sending.
   void dtr_in_read() { dtr_in_read_ = true; }
   // The program enters an endless loop with its interrupts disabled.
@@ -73,6 +74,7 @@ class Mcu {
   std::string uart_take_sent();
   // Emulated seconds at which the last byte had arrived.
   double uart_last_received() const { return uart_last_received_; }
+  void set_baud(unsigned baud) { cycles_per_wire_byte_ = 10.0 * frequency() / baud; }
   // How much faster than nominal the other end of the wire sends and samples.
   void set_baud_error(double share) { baud_error_ = share; }
   double baud_error() const { return baud_error_; }

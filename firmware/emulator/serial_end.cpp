@@ -6,6 +6,7 @@
 #include <fcntl.h>
 #include <pty.h>
 #include <string.h>
+#include <sys/inotify.h>
 #include <sys/stat.h>
 #include <termios.h>
 #include <unistd.h>
@@ -34,6 +35,8 @@ SerialEnd SerialEnd::make_pty(const std::string& link) {
   make_raw(end.slave_);
   fcntl(end.fd_, F_SETFL, O_NONBLOCK);
   end.name_ = name;
+  end.watch_ = inotify_init1(IN_NONBLOCK | IN_CLOEXEC);
+  inotify_add_watch(end.watch_, name, IN_OPEN | IN_CLOSE);
   if (!link.empty()) {
     struct stat status;
     if (lstat(link.c_str(), &status) == 0 && S_ISLNK(status.st_mode)) unlink(link.c_str());
@@ -54,6 +57,8 @@ SerialEnd SerialEnd::use_port(const std::string& path) {
 
 SerialEnd::SerialEnd(SerialEnd&& other) {
   std::swap(fd_, other.fd_);
+  std::swap(watch_, other.watch_);
+  std::swap(open_, other.open_);
   std::swap(slave_, other.slave_);
   std::swap(name_, other.name_);
   std::swap(link_, other.link_);
@@ -62,6 +67,7 @@ SerialEnd::SerialEnd(SerialEnd&& other) {
 
 SerialEnd::~SerialEnd() {
   if (!link_.empty()) unlink(link_.c_str());
+  if (watch_ >= 0) close(watch_);
   if (slave_ >= 0) close(slave_);
   if (fd_ >= 0) close(fd_);
 }
@@ -96,5 +102,31 @@ void SerialEnd::write(const std::string& bytes) {
     // Nobody has read for a while. The next reader of the pty must not receive old bytes.
     tcflush(slave_, TCIFLUSH);
     ++flushes_;
+  }
+}
+
+bool SerialEnd::was_opened() {
+  bool opened = false;
+  inotify_event event;  // the pty is no folder: no name follows
+  while (watch_ >= 0 && ::read(watch_, &event, sizeof event) == ssize_t(sizeof event)) {
+    if (event.mask & IN_OPEN) {
+      opened = opened || open_ == 0;
+      ++open_;
+    } else if (open_ > 0) {
+      --open_;
+    }
+  }
+  return opened;
+}
+
+unsigned SerialEnd::baud() const {
+  termios settings;
+  if (slave_ < 0 || tcgetattr(slave_, &settings) != 0) return 0;
+  switch (cfgetospeed(&settings)) {
+    case B9600: return 9600;
+    case B19200: return 19200;
+    case B57600: return 57600;
+    case B115200: return 115200;
+    default: return 0;
   }
 }

@@ -26,6 +26,11 @@ class SerialEnd {
   // Writes without waiting. If nobody reads, the bytes are lost, as on a wire.
   void write(const std::string& bytes);
 
+  // Whether the new pty has been opened since the last call, while no other program had it open.
+  bool was_opened();
+  // The speed of the new pty that the last program set, bit/s; 0: none that a Nano is used with.
+  unsigned baud() const;
+
   // How often unread bytes were dropped.
   unsigned flushes() const { return flushes_; }
 
@@ -38,6 +43,8 @@ class SerialEnd {
 
   int fd_ = -1;
   unsigned flushes_ = 0;
+  int watch_ = -1;  // inotify: the new pty is opened and closed
+  int open_ = 0;    // how often it is open in other programs
   int slave_ = -1;  // of the new pty: kept open, so that it stays raw and never hangs up
   std::string name_;
   std::string link_;

@@ -355,8 +355,8 @@ class StreamDecoder:
         self.errors[FRAMING] += 1
         size = len(noise)
         self._frames.append(invalid_frame(
-            noise, FRAMING, f'{size} bytes that are no frame' if size > 1
-            else '1 byte that is no frame', self._noise_stamp))
+            noise, FRAMING, f'{size} bytes outside frames' if size > 1
+            else '1 byte outside frames', self._noise_stamp))
 
     def _read_of(self, end: int) -> Tuple[Any, int]:
         """The read that had the last byte before `end`: its stamp, and the bytes received by

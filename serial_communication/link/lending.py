@@ -1,6 +1,6 @@
 """Lends a link's port to another program, and resets its board."""
 import time
-from typing import Any, Callable, Optional, Tuple
+from typing import Callable, Optional, Tuple
 
 from ..framing.layout import readable
 from ..transport.pace import clock

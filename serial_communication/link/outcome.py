@@ -14,7 +14,7 @@ _DONE = (0x00, 0x01, 0x02)      # SYNC, ECHO, OK
 _ERROR, _INVALID = 0x03, 0xFF
 NOT_SENT = 253     # refused by the bridge: nothing was sent
 TIMEOUT = 254      # not known: executed once or not at all, unless it may be repeated
-LOOK = 'look before you repeat it'      # advice to the caller, where the outcome is not known
+LOOK = 'check the robot before you repeat it'   # advice where the outcome is not known
 
 _NAMES = {_ERROR: 'ERROR', _INVALID: 'INVALID', NOT_SENT: 'not sent', TIMEOUT: 'not known'}
 # A program that passes such a text on may put words and a colon before it.

@@ -95,5 +95,5 @@ class UnknownBytes:
             return (f'messages come, but of unknown types ({types}): no row of the parameters, '
                     'and none that the board announces, has them')
         return self.printed(now) or ('' if self.size < _ENOUGH else (
-            f'bytes come, but none is a frame of this board: another baud rate ({self._baud} '
+            f'bytes come, but no valid frame of this board: another baud rate ({self._baud} '
             'is set), or another board'))

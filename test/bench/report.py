@@ -85,6 +85,10 @@ def _ratio(figure: str, one: str, other: str) -> Callable[[Results], float]:
     return lambda results: results[one][figure] / results[other][figure]
 
 
+def _of(side: str, figure: str) -> Callable[[Results], float]:
+    return lambda results: results[side][figure]
+
+
 GOALS = (
     Goal('latency p50, relative to polling', 0.20, 'latency',
          _ratio('p50, ms', 'bridge', 'polling')),
@@ -93,7 +97,7 @@ GOALS = (
     Goal("heartbeat's standard deviation, relative to polling", 0.5, 'latency',
          _ratio('heartbeat: deviation, ms', 'bridge', 'polling')),
     Goal('heartbeat beside two busy processes, p99.9 in ms', 15, 'busy',
-         lambda results: results['bridge']['heartbeat: p99.9, ms']),
+         _of('bridge', 'heartbeat: p99.9, ms')),
     Goal('CPU with subscribers, relative to publishing', 1.25, 'cpu',
          _ratio(CPU, 'bridge', 'publishing')),
     Goal('CPU without subscribers, relative to publishing', 0.35, 'cpu',
@@ -104,7 +108,7 @@ GOALS = (
          lambda results: sum(value for name, value in results['bridge'].items()
                              if 'lost' in name)),
     *(Goal(f"stamps with the board's time, {line}: p99 of the error in ms", limit, 'stamps',
-           lambda results, line=line: results[line]['board: error p99, ms'])     # type: ignore[misc]
+           _of(line, 'board: error p99, ms'))
       for line, limit in (('tty', 0.3), ('1 ms', 0.6), ('16 ms', 2.5))),
     Goal('distance of two of them, p99 in ms', 0.1, 'stamps',
          lambda results: max(results[line]['board: distance p99, ms']

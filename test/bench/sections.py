@@ -200,8 +200,8 @@ def bridges(stage: BenchStage, plan: Plan) -> Results:
 
 
 def stamps(stage: BenchStage, plan: Plan) -> Results:
-    """Stamps of the reads and of a board's clock (300 ppm fast, 100 Hz), on a tty, behind an adapter
-    that delivers each 1 or 16 ms, and on a tty beside two busy processes."""
+    """Stamps of the reads and of a board's clock (300 ppm fast, 100 Hz), on a tty, behind an
+    adapter that delivers each 1 or 16 ms, and on a tty beside two busy processes."""
     ppms = {'board': 300.0, 'read': 300.0, 'no time': None}
     sides = {name: stage.side('bridge', ('arduino',), {'arduino/board_time': name != 'read'})
              for name in ppms}

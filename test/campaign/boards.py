@@ -57,6 +57,7 @@ _COMMANDS = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H', HEATER: '>H'}
 _MEASUREMENTS = {codec.TICKS: ('~ticks', '<B'), codec.STEERING_ANGLE: ('~steering_angle', '<H'),
                  COUNTER: ('~counter', '<I'), codec.VOLTAGE: ('~voltage', '<f'),
                  codec.IMU: ('~imu', '>11h')}
+_STATUS, _UNKNOWN = '<HHHhh', (0x8000, -0x8000, -0x8000)    # of the sensor board; its angles
 
 
 class Packet(NamedTuple):
@@ -83,55 +84,6 @@ class Packet(NamedTuple):
 Key = Tuple[str, Any]     # a topic, and a value as robot.py converts it
 
 
-def car_keys(frame: codec.Frame) -> List[Key]:
-    """The topics and values that a packet of the car is published as."""
-    if frame.type == BLOB:
-        return [('~blob', frame.data)]
-    topic, layout = _MEASUREMENTS.get(frame.type, ('', ''))
-    if not topic or len(frame.data) != struct.calcsize(layout):
-        return []
-    values = struct.unpack(layout, frame.data)
-    if frame.type == codec.IMU:
-        return [(topic, values[:10]), ('~imu/temperature', values[10]),
-                ('tf/imu_orientation', unit_key(values[:4]))]
-    if frame.type == codec.VOLTAGE:
-        return [(topic, wire_number(values[0] * 1000))] if 0 <= values[0] <= 100 else []
-    return [(topic, values[0])]
-
-
-def sensor_keys(frame: codec.Frame) -> List[Key]:
-    """The topics and values that a frame of the sensor board is published as."""
-    if frame.type == CLIFF and len(frame.data) == 4:
-        return [('mcu/cliff', struct.unpack('<I', frame.data)[0])]
-    if frame.type == codec.ADC:
-        return [('mcu/adc_status', (frame.number, *struct.unpack('<6H', frame.data)))]
-    if frame.type != codec.SENSORS:
-        return []
-    one, two, *angles = struct.unpack('<HHhhh', frame.data)
-    attitude: List[Key] = []
-    if angles[1] == angles[2] == -32768:        # the angles are not known
-        angles = [None] * 3
-    else:
-        angles[0] += 0 if angles[0] >= -18000 else 65536
-        attitude = [(topic, (angles[0] % 36000, *angles[1:]))
-                    for topic in ('mcu/imu', 'tf/mcu_imu_orientation')]
-    valid = 0xFFFF not in (one, two) and None not in angles
-    return [('mcu/status', (frame.number, valid, one, two, tuple(angles))),
-            ('mcu/range_1', range_key(one)), ('mcu/range_2', range_key(two)), *attitude]
-
-
-def reply_keys(frame: codec.Frame) -> List[Key]:
-    """The topics and values that a reply on the bus may be published as."""
-    if frame.type == codec.OK and len(frame.data) == 6:
-        smoke, temperature, humidity = struct.unpack('<HhH', frame.data)
-        return [('~environment', (smoke, temperature, humidity)),
-                ('~environment/temperature', temperature), ('~environment/humidity', humidity)]
-    if frame.type == codec.OK and len(frame.data) == 4:     # the depth is always even
-        number = struct.unpack('<I', frame.data)[0]
-        return [('~height' if number % 2 else '~depth', number)]
-    return []
-
-
 def wire_number(value: float) -> Any:
     """The integer on the wire for this value; the value itself if it is not close to one."""
     number = round(value) if math.isfinite(value) else 0
@@ -155,7 +107,6 @@ class Board:
 
     received_frame_at: codec.FrameAt
     sent_frame_at: codec.FrameAt
-    keys: Callable[[codec.Frame], List[Key]]
 
     def __init__(self, line: SerialLine) -> None:
         self.line = line
@@ -182,6 +133,10 @@ class Board:
     def received(self, frame: codec.Frame, now: float) -> None:
         """Called for each frame from the bridge."""
 
+    @staticmethod
+    def keys(frame: codec.Frame) -> List[Key]:
+        """The topics and values that a frame of the board is published as."""
+
     def write(self, data: bytes) -> bool:
         return self.line.write(data) and not self.written.append(data)
 
@@ -204,7 +159,6 @@ class Car(Board):
     """
 
     received_frame_at = sent_frame_at = staticmethod(codec.arduino_at)
-    keys = staticmethod(car_keys)
 
     def __init__(self, line: SerialLine, clock: Clock) -> None:
         super().__init__(line)
@@ -281,6 +235,21 @@ class Car(Board):
         at = self.packets.index(packet)
         return next((each for each in self.packets[at + 1:] if each.is_stop), None)
 
+    @staticmethod
+    def keys(frame: codec.Frame) -> List[Key]:
+        if frame.type == BLOB:
+            return [('~blob', frame.data)]
+        topic, layout = _MEASUREMENTS.get(frame.type, ('', ''))
+        if not topic or len(frame.data) != struct.calcsize(layout):
+            return []
+        values = struct.unpack(layout, frame.data)
+        if frame.type == codec.IMU:
+            return [(topic, values[:10]), ('~imu/temperature', values[10]),
+                    ('tf/imu_orientation', unit_key(values[:4]))]
+        if frame.type == codec.VOLTAGE:
+            return [(topic, wire_number(values[0] * 1000))]
+        return [(topic, values[0])]
+
     def measure(self) -> None:
         """Send one packet of each type, with the next number."""
         self._number = n = self._number + 1
@@ -305,12 +274,26 @@ class Sensors(Board):
     """The sensor board."""
 
     received_frame_at = sent_frame_at = staticmethod(codec.mcu_at)
-    keys = staticmethod(sensor_keys)
 
     def __init__(self, line: SerialLine) -> None:
         super().__init__(line)
         self.seq = 0
         self._number = 0
+
+    @staticmethod
+    def keys(frame: codec.Frame) -> List[Key]:
+        if frame.type == CLIFF and len(frame.data) == 4:
+            return [('mcu/cliff', struct.unpack('<I', frame.data)[0])]
+        if frame.type == codec.ADC:
+            return [('mcu/adc_status', (frame.number, *struct.unpack('<6H', frame.data)))]
+        if frame.type != codec.SENSORS:
+            return []
+        one, two, *angles = struct.unpack(_STATUS, frame.data)
+        known = tuple(angles) != _UNKNOWN
+        return [('mcu/status', (frame.number, known and 0xFFFF not in (one, two), one, two,
+                                tuple(angles) if known else (None,) * 3)),
+                ('mcu/range_1', range_key(one)), ('mcu/range_2', range_key(two)),
+                *known * [('mcu/imu', tuple(angles)), ('tf/mcu_imu_orientation', tuple(angles))]]
 
     def frame(self, type_: int, payload: bytes) -> bytes:
         self.seq = (self.seq + 1) % 256
@@ -320,11 +303,8 @@ class Sensors(Board):
         """Send one status; its ranges and angles follow from its number."""
         self._number = n = self._number + 1
         ranges = n % 65535, 0xFFFF if n % 10 == 0 else n * 7 % 2500
-        heading, pitch, roll = n * 37 % 36000, n % 9000 - 4500, -(n % 17000)
-        wrapped = heading if heading <= 32767 else heading - 65536
-        if n % 7 == 0:
-            wrapped = pitch = roll = -32768
-        self.send(self.frame(codec.SENSORS, struct.pack('<HHhhh', *ranges, wrapped, pitch, roll)))
+        angles = (n * 37 % 36000, n % 9000 - 4500, -(n % 17000)) if n % 7 else _UNKNOWN
+        self.send(self.frame(codec.SENSORS, struct.pack(_STATUS, *ranges, *angles)))
         self.send(self.frame(codec.ADC, struct.pack('<6H', *range(n % 60000, n % 60000 + 6))))
 
     def cliff(self) -> None:
@@ -346,6 +326,12 @@ class Request(NamedTuple):
         return self.cmd2, self.data
 
 
+def reply_frame(cmd1: int, data: bytes = b'') -> bytes:
+    return codec.bus_frame(bytes((cmd1,)), data)
+
+
+_NO_CHUNK = reply_frame(codec.ERROR, struct.pack('<H', 0x8000))
+_OUT_OF_STEP = reply_frame(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,)))
 OK = b''         # in a reaction: the usual reply
 
 
@@ -369,7 +355,6 @@ class BusBoard(Board):
 
     received_frame_at = staticmethod(codec.request_at)
     sent_frame_at = staticmethod(codec.reply_at)
-    keys = staticmethod(reply_keys)
 
     def __init__(self, line: SerialLine, clock: Clock) -> None:
         super().__init__(line)
@@ -390,6 +375,17 @@ class BusBoard(Board):
         self._has_echoed = False     # on this connection
         self._nonces: Deque[bytes] = deque(maxlen=1000)
         self._echoed: Deque[bytes] = deque(maxlen=100)      # replies to ECHO that were written
+
+    @staticmethod
+    def keys(frame: codec.Frame) -> List[Key]:
+        if frame.type == codec.OK and len(frame.data) == 6:
+            smoke, temperature, humidity = struct.unpack('<HhH', frame.data)
+            return [('~environment', (smoke, temperature, humidity)),
+                    ('~environment/temperature', temperature), ('~environment/humidity', humidity)]
+        if frame.type == codec.OK and len(frame.data) == 4:     # the depth is always even
+            number = struct.unpack('<I', frame.data)[0]
+            return [('~height' if number % 2 else '~depth', number)]
+        return []
 
     def count(self, cmd2: int) -> int:
         """How many requests of this function were received."""
@@ -468,17 +464,13 @@ class BusBoard(Board):
         if not is_function and self.probe:
             other = self.probe(request)
         elif not self.in_step:
-            other = Reaction([(0, reply_frame(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,))))])
+            other = Reaction([(0, _OUT_OF_STEP)])
         elif request.cmd2 == ANNOUNCE:
-            other = self._chunk(request.data[0])
+            chunks = codec.announcement(self.announces, 30)[request.data[0]:]
+            other = Reaction([(0, reply_frame(codec.OK, chunks[0]) if chunks else _NO_CHUNK)])
         else:
             other = self.react(request) if is_function and self.react else None
         return other or Reaction([(0, OK)], is_function)
-
-    def _chunk(self, index: int) -> Reaction:
-        chunks = codec.announcement(self.announces, 30)
-        end = reply_frame(codec.ERROR, struct.pack('<H', 0x8000))
-        return Reaction([(0, reply_frame(codec.OK, chunks[index]) if index < len(chunks) else end)])
 
     def ok_reply(self, request: Request) -> bytes:
         if request.cmd1 != codec.FUNCTION:
@@ -492,7 +484,3 @@ class BusBoard(Board):
         reply = reply_frame(codec.OK, data)
         self._remember(reply, time.time())
         return reply
-
-
-def reply_frame(cmd1: int, data: bytes = b'') -> bytes:
-    return codec.bus_frame(bytes((cmd1,)), data)

@@ -14,6 +14,7 @@ from .exact_car import Drive, check_first, check_repetitions
 from .rig import AFTER, MOTION_TIMEOUT, STOP_FIRST, Rig
 from .robot import COMMANDS, NOT_SENT
 
+SYNC_FIRST = 'after a reconnect the first request is SYNC'
 PORT_RETURNS = "data within 1.5 s of the port's return"
 _PORT_RETURN = 1.5       # s
 _NETWORK_RETURN = 3.0    # s
@@ -25,7 +26,7 @@ _RESUMES = 1.0           # s
 def openings(rig: Rig) -> None:
     """All ports disappear, while the car stands or drives and a call is outstanding, and return,
     also as other devices."""
-    returns, sync = rig.row(PORT_RETURNS), rig.row('after a reconnect the first request is SYNC')
+    returns, sync = rig.row(PORT_RETURNS), rig.row(SYNC_FIRST)
     calls, drive = Calls(rig), Drive(rig)
     for index in rig.tries(*range(4)):
         made = [calls.start_unanswered()]
@@ -66,6 +67,46 @@ def openings(rig: Rig) -> None:
         drive.check_not_sent(old, 'from before the reconnect', since)
         drive.command_until_accepted()
     rig.diagnosed('arduino', 0, 'open')
+
+
+def lent(rig: Rig) -> None:
+    """All ports are lent while the car drives: until they are given back, or the loan ends."""
+    stop_last = rig.row("SPEED 0 is the last packet before the car's port is lent")
+    required = rig.row('a lent port is left alone, and opened again when the loan ends')
+    calls, drive = Calls(rig), Drive(rig)
+
+    def release(seconds: float) -> float:
+        began = time.monotonic()
+        for link in rig.lines:
+            outcome = rig.robot.call(f'{link}/release', 'campaign', seconds)
+            required.check(outcome.success, f'{link}/release: {outcome}')
+        return began + seconds
+
+    for seconds, is_given_back in rig.tries((9.0, True), (3.0, False)):
+        drive.command()
+        ends_at = release(seconds)
+        rig.car_line.drain()
+        stop_last.check(rig.car.last.is_stop, f'the last packet was {rig.car.last}')
+        for board in (rig.car, rig.bus):        # a pty does not show that it was closed
+            board.start_connection()
+        since, count = len(rig.car.packets), len(rig.bus.requests)
+        old = drive.publish(5)
+        rig.measure()
+        calls.call('lift', 'while lent', 'not sent', 0.0)
+        rig.car_line.drain()
+        required.check(not rig.car.first and len(rig.bus.requests) == count,
+                       f'{rig.car.first} or {rig.bus.requests[count:]} was sent')
+        rig.diagnosed('arduino', 1, 'lent to campaign')
+        ends_at = release(0.0) if is_given_back else ends_at
+        required.wait(lambda: rig.car.beats and len(rig.bus.requests) > count, 'they are opened')
+        rig.in_time(required, ends_at, check_first(rig).t, _PORT_RETURN, f'{seconds:g} s')
+        rig.row(SYNC_FIRST).check(rig.bus.requests[count].cmd1 == codec.SYNC, 'not SYNC')
+        rig.wait_for_data('mcu/cliff', rig.sensors.cliff, rig.row(PORT_RETURNS))
+        for topic in '~counter', 'mcu/adc_status':
+            required.check(not rig.robot.values(topic), f'{topic} was published from before')
+        rig.wait_beats(AFTER)
+        drive.check_not_sent(old, 'commanded while the port was lent', since)
+        drive.command_until_accepted()
 
 
 def closed(rig: Rig) -> None:
@@ -296,5 +337,5 @@ def resets(rig: Rig) -> None:
     rig.compare(rig.car, rig.sensors)
 
 
-SERIAL = openings, cuts, frozen_bus, short_stall, stalls, resets
+SERIAL = openings, lent, cuts, frozen_bus, short_stall, stalls, resets
 NETWORK = closed, silent_network, cuts, frozen_bus, stalls

@@ -1,4 +1,4 @@
-"""Board time, exactly: stamps of a car that sends its clock, over lines that hold its bytes back."""
+"""Board time, exactly: stamps of a car that sends its clock, over lines that hold bytes back."""
 import contextlib
 import itertools
 import math
@@ -12,7 +12,7 @@ from .rig import UNTIL_PUBLISHED, Rig
 
 _TIME = 254
 _PERIOD, _NUMBER = 0.01, 300      # s between two measurements, and their number
-_KNOWN = 200                      # measurements until the bridge knows the clock; twice what it says
+_KNOWN = 200         # measurements until the bridge knows the clock; twice what it says
 _WITHIN = 0.005                   # s
 _DRIFT = 0.003
 

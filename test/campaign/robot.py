@@ -17,7 +17,7 @@ from tf2_msgs.msg import TFMessage
 from serial_communication.msg import (Environment, McuStatus, McuStatus2, SerialMsg,
                                       SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand, Ticks,
                                       Voltage)
-from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
+from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift, Release
 from .boards import Sent, range_key, unit_key, wire_number
 from .requirements import MAX_WAIT, Requirement
 
@@ -28,7 +28,8 @@ _GYRO = 4000 / 65536 * math.pi / 180 * 25
 _ACCELERATION = 8 / 65536 * 9.81
 SERVICES = {'lift': Lift, 'gimbal': Gimbal, 'bus/request': BusRequest, 'press': Lift,
             'probe': Trigger, 'get_environment': GetEnvironment, 'bus/echo': Trigger,
-            'bus/sync': Trigger, 'calibrate_imu': Empty, 'halt': Trigger, 'pump': Trigger}
+            'bus/sync': Trigger, 'calibrate_imu': Empty, 'halt': Trigger, 'pump': Trigger,
+            **{f'{link}/release': Release for link in ('bus', 'arduino', 'mcu')}}
 
 
 class Published(NamedTuple):

@@ -11,7 +11,8 @@ A comment right before a block of commands tells how to run it:
     <!-- run: avr -->          beside a bridge with emulated boards, their folder in $SIM_DIR
     <!-- run by: PART -->      by that part of scripts/test
     <!-- file: NAME -->        not a command: by test/ros/external_board_test.py
-    <!-- needs a board -->     not run; likewise `needs a screen`, `needs a container`
+    <!-- needs a board -->     not run; likewise `needs a screen`, `a container`, `a network`,
+                               `a workspace`
 """
 import re
 import sys
@@ -30,6 +31,8 @@ PYTHON = [block for block in BLOCKS if block.language == 'python' and not block.
 BESIDE = PYTHON + [block for block in BLOCKS if block.mark == 'run: bridge']
 LINKS = ('bus', 'arduino', 'mcu')
 NODE = '/serial_communication'
+NEEDS = ('board', 'screen', 'container', 'network', 'workspace')
+RUN = ('bridge', 'launch', 'background', 'play', 'panel', 'avr')
 
 
 def marked(mark):
@@ -81,9 +84,8 @@ def test_every_block_of_commands_has_a_valid_mark():
         if block.language != 'sh':
             continue
         kind, _, part = block.mark.partition('run by: scripts/test ')
-        assert block.mark in (*(f'needs a {each}' for each in ('board', 'screen', 'container')), *(
-            f'run: {each}' for each in (
-                'bridge', 'launch', 'background', 'play', 'panel', 'avr'))) or (
+        assert block.mark in (
+            *(f'needs a {each}' for each in NEEDS), *(f'run: {each}' for each in RUN)) or (
                 not kind and part in parts.group(1).split()), f'{block.id}: {block.mark!r}'
 
 

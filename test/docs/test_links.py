@@ -37,3 +37,7 @@ def test_anchors_are_those_of_github(tmp_path):
     page.write_text('# mcu: STX … ETX\n## `code` and [a link](x.md)\n## Twice\n## Twice\n'
                     '```sh\n# no heading\n```\n')
     assert anchors(page) == ['mcu-stx--etx', 'code-and-a-link', 'twice', 'twice-1']
+
+
+def test_the_readme_has_at_most_1300_words():
+    assert len((ROOT / 'README.md').read_text().split()) <= 1300

@@ -23,6 +23,10 @@ FIRMWARE = os.path.join(os.path.dirname(os.path.dirname(HERE)), 'firmware')
 IMAGES = {'car': 'nano_car_emulated.elf', 'ctrl': 'ctrl_board.elf', 'range': 'range_imu.elf',
           'diff': 'DiffDrive.elf'}
 
+# The "old bootloader" of the Nano, 57600 baud, and the folder of all.
+BOOTLOADERS = '/usr/share/arduino/hardware/arduino/avr/bootloaders'
+BOOTLOADER = os.path.join(BOOTLOADERS, 'atmega', 'ATmegaBOOT_168_atmega328.hex')
+
 
 class BoardError(Exception):
     """The emulator did not start, ended, or refused a command."""
@@ -55,7 +59,7 @@ class EmulatedBoard:
     still: nothing moves but what the board moves and what is set.
     port: an existing tty for the UART; by default the emulator makes a pty, and `port` is its link.
     eeprom: a file to keep the EEPROM in.
-    bootloader: a HEX file, which runs first after each reset.
+    bootloader: a HEX file; each opening of the pty starts it, as of a real Nano.
     """
 
     def __init__(self, build, world, still=True, port=None, eeprom=None, image=None,

@@ -131,7 +131,7 @@ CASE(bus_functions_answer) {
 CASE_FOR_A_TEST(a_handler_for_a_type_of_the_bridge_itself_is_reported) {
   CHECK(!packets.on<Force>(number, take_force))
   packets.update();
-  CHECK(sent.find("13 ... 254") != std::string::npos)
+  CHECK(sent.find("13 ... 252") != std::string::npos)
 }
 
 CASE(commands_reach_their_functions) {

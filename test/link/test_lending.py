@@ -11,7 +11,7 @@ import time
 import pytest
 import serial.serialposix
 
-from fake_boards import BusBoard, CarBoard, until
+from fake_boards import BusBoard, until
 from waiting import Waiter
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings

@@ -20,7 +20,7 @@ from serial_communication.link.unknown_bytes import OtherBoard, UnknownBytes
 from serial_communication.transport.port import Port
 
 SWAPPED = "bytes come, but they are the {}'s: are the two ports swapped?"
-OTHER = ('bytes come, but none is a frame of this board: another baud rate (115200 is set), or '
+OTHER = ('bytes come, but no valid frame of this board: another baud rate (115200 is set), or '
          'another board')
 HINT = ' `rosrun serial_communication ports` finds out which board is on which port'
 STATUS = mcu.encode(mcu.SensorStatus(400, 500, 1.0, 2.0, 3.0), 7)

@@ -55,7 +55,7 @@ class Core:
         self._process = subprocess.Popen(
             ['roscore', '-p', os.environ['ROS_MASTER_URI'].rsplit(':', 1)[1]],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        until(rosgraph.is_master_online, 'the master answers', every=0.1)
+        until(rosgraph.is_master_online, 'the master answers', 60, every=0.1)
         until(lambda: '/rosout' in publishers_and_subscribers()[1], 'roscore is complete')
 
     def hung(self):

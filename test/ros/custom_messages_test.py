@@ -40,7 +40,7 @@ from serial_communication.srv import GetEnvironment, Lift
 
 OWN = '/' + PACKAGE + '/'
 NO_REPLY = ('no reply within %g s: it is not known whether this was executed; '
-            'look before you repeat it')
+            'check the robot before you repeat it')
 EXAMPLES = __file__.rsplit('/', 3)[0] + '/config/custom_messages.yaml'
 
 
@@ -439,7 +439,7 @@ class Functions(unittest.TestCase):
             read, words = read_response(answer)
             self.assertIs(read, verdict)
             self.assertIn(answer.message, words)
-            self.assertEqual('look before you repeat it' in words, verdict is Verdict.NOT_KNOWN)
+            self.assertEqual('before you repeat it' in words, verdict is Verdict.NOT_KNOWN)
 
     def test_a_function_is_not_sent_to_a_closed_port(self):
         answer = service('/closed/pump', SetBool)(True)

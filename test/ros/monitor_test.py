@@ -110,6 +110,10 @@ class MonitorTest(BoardsTest):
         self.assertNotRegex(said, r'(?m)^mcu')       # it has no port
         self.assertRegex(said, r'(?m)^~voltage +[\d.]+ Hz  11\.50 V$')
         self.assertRegex(said, r'(?m)^~imu +[\d.]+ Hz  rpy 0\.0 0\.0 0\.0 deg')
+        said = self.once('--report')[1]
+        self.assertRegex(said, r'(?m)^ports:\n  ')
+        self.assertRegex(said, r'(?m)^  bus  OK  ready\n(    .*\n)*    checksum errors: 0$')
+        self.assertIn(f"\n    port: {self.lines['bus'].near}\n", said)
         self.lines['bus'].unplug()
         status, said = self.once()
         self.assertEqual(status, 1, said)
@@ -123,7 +127,13 @@ class MonitorTest(BoardsTest):
     def test_once_without_a_bridge(self):
         status, said = self.once('--node', '/robot/absent')
         self.assertEqual(status, 1)
-        self.assertEqual(said, f'monitor: no bridge /robot/absent at {rosgraph.get_master_uri()}\n')
+        trouble = f'monitor: no bridge /robot/absent at {rosgraph.get_master_uri()}\n'
+        self.assertEqual(said, trouble)
+        status, said = self.once('--node', '/robot/absent', '--report')
+        self.assertEqual(status, 1)
+        self.assertRegex(
+            said, r'^serial_communication \d+\.\d+\.\d+, rospy \d.*, Python 3.*\n.*Linux ')
+        self.assertTrue(said.endswith('\n\n' + trouble), said)
 
     def test_restarts_of_the_bridge_and_of_the_master_are_shown(self):
         master = Master()

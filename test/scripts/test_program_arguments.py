@@ -12,7 +12,7 @@ import pytest
 SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
 PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir()
                   if os.access(str(path), os.X_OK))
-OF_ROS = 'monitor', 'other_program', 'panel', 'serial_communication_node'
+OF_ROS = 'monitor', 'other_program', 'panel', 'release', 'serial_communication_node'
 WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
     ('avr_board', ('bus', '--link')), ('avr_board', ('--elf',)), ('bench', ('--wrong',)),
@@ -20,7 +20,8 @@ WRONG = (
     ('header', ()), ('header', ('--wrong', 'x')), ('header', ('a', 'b', 'c')),
     ('monitor', ('--wrong',)), ('other_program', ()), ('other_program', ('rviz',)),
     ('panel', ('--wrong',)), ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')),
-    ('ports', ('socket://x',)),
+    ('ports', ('socket://x',)), ('release', ()), ('release', ('arduino',)),
+    ('release', ('arduino', '--wrong', '--', 'true')),
     ('serial_communication_node', ('--wrong',)),
     ('serial_communication_node', ('/dev/ttyS0',)), ('serial_communication_node', (':=x',)),
     ('serial_communication_node', ('bus',)), ('simulator', ()),

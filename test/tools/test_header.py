@@ -113,7 +113,8 @@ def test_a_struct_with_a_time_has_a_function_that_fills_it(tmp_path, order):
 
 def test_names_of_the_time_give_way_to_fields(tmp_path):
     path = configuration(tmp_path, {'field': {
-        'type': 50, 'ros_type': 'a/B', 'layout': '<IBB', 'fields': ['@time', 'time', 'measured_at']}})
+        'type': 50, 'ros_type': 'a/B', 'layout': '<IBB',
+        'fields': ['@time', 'time', 'measured_at']}})
     assert output(tmp_path, made(path), """
         Field field = {};
         field.measured_at_(7);

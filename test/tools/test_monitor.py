@@ -1,8 +1,9 @@
 """The monitor: reports of a bridge that disappears or returns, and the list of others; no ROS."""
 import pytest
 
-from serial_communication.tools.monitor import cli
+from serial_communication.tools.monitor import cli, report
 from serial_communication.tools.watch.live import Outages
+from serial_communication.tools.watch.state import BridgeState, ERROR, LinkState
 
 
 def test_a_bridge_that_disappears_and_returns_is_reported_once_each():
@@ -40,3 +41,18 @@ def test_where_the_default_bridge_does_not_run_the_others_are_listed(
             return publishers, [], []
     monkeypatch.setattr(cli.rosgraph, 'Master', Master)
     assert cli._other_bridges() == note
+
+
+def test_a_report_has_the_diagnostics_and_parameters_but_no_secret_and_no_host():
+    bridge = BridgeState(links=['bus', 'arduino'])
+    bridge.set_link('bus', LinkState(ERROR, 'socket://robot.lan:4001: no connection',
+                                     {'checksum errors': '3'}))
+    bridge.set_parameters({'bus': {'port': 'rfc2217://me:hunt/er2@192.168.1.7:4001?logging=info',
+                                   'reply_timeout': 0.5},
+                           'scale': {'MQTT_Password': 'hunter3', 'access_token': [1, 'hunter4']}})
+    text = report.of_bridge(bridge)
+    assert '  bus  ERROR  socket://…: no connection\n    checksum errors: 3\n' in text
+    assert '  arduino  no report\n' in text and '    reply_timeout: 0.5\n' in text
+    assert '    port: rfc2217://…?logging=info\n' in text
+    assert '    MQTT_Password: …\n' in text and text.endswith('    access_token: …')
+    assert not any(word in text for word in ('hunt', '192.168', 'robot.lan'))

@@ -788,7 +788,7 @@ def test_listen_stats_and_play_know_another_board(scale_config, ttys, start, tmp
     board.write(stream)
     lines = until(lambda: len(program.lines()) == 3 and program.lines(), 'three lines')
     assert lines[0].endswith('load 0.1 kg') and lines[2].endswith('load 0.4 kg')
-    assert '1 byte that is no frame' in lines[1]
+    assert '1 byte outside frames' in lines[1]
     assert program.end() == 0
     kept = tmp_path / 'kept.txt'
     assert '# link scale\n# baud 9600\n' in kept.read_text()

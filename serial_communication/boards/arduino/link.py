@@ -1,5 +1,4 @@
 """The link to the model car: takes commands, sends heartbeats, receives measurements."""
-import time
 from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple, Type
 
 from ...framing.announcement import Chunk

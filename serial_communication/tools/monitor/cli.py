@@ -2,7 +2,8 @@
 
 Shows links, rates, last values and their ages, for any bridge under this ROS master: once a second
 on a terminal, elsewhere a few lines every five seconds. With --once it prints one table, for
-scripts; the status is 0 only if the bridge runs and every link is OK.
+scripts; the status is 0 only if the bridge runs and every link is OK. --report adds what an issue
+needs, see report.py.
 """
 import argparse
 import sys
@@ -22,6 +23,7 @@ from ..watch.state import BridgeState
 from ..watch.table import Heading, TextLine, plain
 from ..watch.topics import NODE, SERIAL_MSG
 from ..watch.watcher import Watcher
+from . import report
 
 _PATIENCE = 5.0     # s that --once waits for the master's answer and the bridge's first report
 _COLLECT = 3.0      # s that --once then counts messages: enough for topics at 1 Hz
@@ -35,6 +37,8 @@ def main(argv: Optional[List[str]] = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    if options.report:
+        print(report.of_computer(), end='\n\n', flush=True)
     bridge = BridgeState(options.node or NODE, master=rosgraph.get_master_uri())
     stopping = stopped_by_signals()
     if options.once:
@@ -51,7 +55,10 @@ def _run(options: argparse.Namespace) -> int:
     table = LiveTable('monitor', bridge, lambda *args: _heading(bridge, *args))
     try:
         if options.once:
-            return _once(bridge, table.watcher, stopping)
+            status = _once(bridge, table.watcher, stopping)
+            if options.report and bridge.links:
+                print(report.of_bridge(bridge))
+            return status
         table.run(stopping)
         table.close()
         return 0
@@ -67,7 +74,12 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
                         help=f"the bridge's name ({NODE})")
     parser.add_argument('--once', action='store_true',
                         help='print one table and end; status 0 only if every link is OK')
-    return parser.parse_args((rospy.myargv() if argv is None else [''] + argv)[1:])
+    parser.add_argument('--report', action='store_true',
+                        help='also print versions, system, ports, diagnostics and parameters, for '
+                             'an issue; without secrets and the hosts of ports')
+    options = parser.parse_args((rospy.myargv() if argv is None else [''] + argv)[1:])
+    options.once |= options.report
+    return options
 
 
 def _other_bridges() -> str:

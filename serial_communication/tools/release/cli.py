@@ -1,10 +1,10 @@
 """rosrun serial_communication release: run a command while it borrows a port of the bridge.
 
-The bridge stops the car (SPEED 0), closes the port of the LINK, and opens it again when the command
-ends or is killed. If this program is killed, so is the command, and the bridge opens the port after
-a few seconds. {port} in the COMMAND is the device. Exit status: the command's, 128 and the number of
-the signal that ended it, 127 if it cannot be started, 125 if the port is not lent, 2 for a wrong
-argument.
+The bridge stops the car (SPEED 0), closes the port of the LINK, and opens it again when the
+command ends or is killed. If this program is killed, so is the command, and the bridge opens the
+port after a few seconds. {port} in the COMMAND is the device. Exit status: the command's, 128 and
+the number of the signal that ended it, 127 if it cannot be started, 125 if the port is not lent, 2
+for a wrong argument.
 """
 import argparse
 import ctypes

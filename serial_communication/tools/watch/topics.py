@@ -194,7 +194,9 @@ def row_topics(board: Description, parameters: Any) -> List[BridgeTopic]:
 
 def _fields(row: Any) -> Tuple[str, ...]:
     paths = row.get('fields') if isinstance(row, dict) else None
-    return tuple(str(path) for path in paths if path not in ('', BOARD_TIME)) if isinstance(paths, list) else ()
+    if not isinstance(paths, list):
+        return ()
+    return tuple(str(path) for path in paths if path not in ('', BOARD_TIME))
 
 
 # -- any message ---------------------------------------------------------------------------------

@@ -189,8 +189,8 @@ def _split(data: bytes, line: Settings, sent: bool) -> List[Tuple[int, Explained
 
 def _noise(data: bytes) -> Frame:
     return Frame(data, 0, 0, b'', None, None, FRAMING,
-                 f'{len(data)} bytes that are no frame' if len(data) > 1 else
-                 '1 byte that is no frame')
+                 f'{len(data)} bytes outside frames' if len(data) > 1 else
+                 '1 byte outside frames')
 
 
 def _plausibility(found: Sequence[Explained]) -> Tuple[int, int, int]:

@@ -4,8 +4,8 @@ A recording is a bag of serial_msg (rosbag record /serial_msg), with every link 
 wire listen --raw or wire tap --raw. For each link and direction the output has the count, the rate
 and the gaps of each type, the errors by cause, and the share of the wire's capacity; for the bus
 also the round trips; for the arduino the gaps between heartbeats (one over 30 ms stops the motor);
-for a board that sends its time the delay of the reads, from the measurement on, as far as it varies.
-For an unknown link in a bag, types are shown as numbers.
+for a board that sends its time the delay of the reads, from the measurement on, as far as it
+varies. For an unknown link in a bag, types are shown as numbers.
 
   wire stats drive.bag
 """
@@ -154,7 +154,8 @@ def _direction(frames: Sequence[RecordedFrame], length: float, baud: int,
         'share of capacity': share if share <= _MOST_SHARE else None,
         'types': {name: dict({'count': len(stamps), 'per second': len(stamps) / length},
                              **spread(gaps(stamps)),
-                             **spread(delays.get(name, ()), 'read delay')) for name, stamps in sorted(by_type.items())}}
+                             **spread(delays.get(name, ()), 'read delay'))
+                  for name, stamps in sorted(by_type.items())}}
 
 
 def _extra_figures(board: Description, frames: Sequence[RecordedFrame]) -> Dict[str, Any]:

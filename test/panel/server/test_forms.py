@@ -46,7 +46,8 @@ def test_the_services_of_the_boards_are_those_of_their_descriptions():
     services = forms.board_services(boards_of({}))
     assert {name: (each.link, each.title) for name, each in services.items()} == {
         '~lift': ('bus', 'lift'), '~gimbal': ('bus', 'gimbal'), '~bus/echo': ('bus', 'echo'),
-        '~bus/sync': ('bus', 'sync'), '~calibrate_imu': ('arduino', 'calibrate the IMU')}
+        '~bus/sync': ('bus', 'sync'), '~calibrate_imu': ('arduino', 'calibrate the IMU'),
+        '~arduino/reset': ('arduino', 'reset the board'), '~mcu/reset': ('mcu', 'reset the board')}
     direction, distance = services['~lift'].fields
     assert distance == {**field('distance', 'number', 1, 255, whole=True), 'unit': 'mm',
                         'preset': 20, 'choices': ()}

@@ -549,7 +549,7 @@ def test_the_outcome_of_a_call_answered_too_late_is_not_known(driver, robot, nam
         answered.set()
     assert (answer['outcome'], answer['words']) == (
         'not known', 'no reply within 0.3 s: it is not known whether this was executed; '
-        'look before you repeat it')
+        'check the robot before you repeat it')
 
 
 _REFUSED = bus.Reply(bus.ERROR, b'\2\x80')
@@ -574,7 +574,7 @@ def test_the_outcome_of_a_call_is_not_known_if_the_bridge_dies(driver, robot):
     robot.bus.script.append(lambda request: robot.bridge.process.kill() or b'')
     answer = driver.call('~beep')
     robot.start_bridge()
-    assert answer['outcome'] == 'not known' and 'look before you repeat it' in answer['words']
+    assert answer['outcome'] == 'not known' and 'before you repeat it' in answer['words']
 
 
 def test_invalid_calls_are_refused(driver, robot):

@@ -34,8 +34,7 @@ void loop() {
   if (millis() - sent_ms >= 100) {
     sent_ms += 100;
     bridge.time(micros());  // when it is measured
-    Light light;
-    light.raw = analogRead(A0);
+    Light light = {uint16_t(analogRead(A0))};
     bridge.send(32, light);
   }
 }

@@ -91,7 +91,7 @@ export class Commands {
     for (const [key, request] of this._pending) {
       this._pending.delete(key);
       this._addAnswer(request.words, 'not known', 'the connection was lost before the answer was received; '
-        + 'look before you repeat it');
+        + 'check the robot before you repeat it');
     }
   }
 

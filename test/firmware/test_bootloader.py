@@ -1,0 +1,53 @@
+"""The emulated Nano with Arduino's own bootloader. test/ros/flashing_test.py flashes it."""
+import os
+import subprocess
+
+import pytest
+import serial
+
+from emulated_board import BOOTLOADER, BOOTLOADERS, BoardError, EmulatedBoard
+
+SYNC, IN_SYNC = b'0 ', b'\x14\x10'       # of avrdude, and the bootloader's answer
+
+
+def synchronised(port):
+    """Whether the bootloader answers; a wrong byte is its own after the first."""
+    for _ in range(20):
+        port.write(SYNC)
+        if IN_SYNC in port.read(2):
+            return True
+    return False
+
+
+def test_each_opening_starts_the_bootloader_and_then_the_program(firmware_build):
+    with EmulatedBoard(firmware_build, 'car', image='Hello.elf', bootloader=BOOTLOADER) as board:
+        for _ in range(2):
+            with serial.Serial(board.port, 57600, timeout=0.2) as port:
+                assert synchronised(port)
+                port.baudrate = 115200
+                sent = board.get('tx_bytes')
+                board.wait_until(lambda sent=sent: board.get('tx_bytes') > sent + 200, 10)
+            passed = board.time + 2.0
+            board.wait_until(lambda passed=passed: board.time > passed, 5)
+            sent = board.get('tx_bytes')
+            board.wait_until(lambda sent=sent: board.get('tx_bytes') > sent, 5)
+
+
+def test_what_looks_at_an_open_port_does_not_reset_the_board(firmware_build):
+    with EmulatedBoard(firmware_build, 'car', image='Hello.elf', bootloader=BOOTLOADER) as board:
+        with serial.Serial(board.port, 115200) as port:
+            board.wait_until(lambda: board.get('tx_bytes') > 200, 10)
+            subprocess.run(['stty', '-F', board.port], check=True, stdout=subprocess.DEVNULL)
+            port.write(SYNC)
+            for _ in range(5):      # the bootloader would take a second
+                sent, passed = board.get('tx_bytes'), board.time + 0.2
+                board.wait_until(lambda passed=passed: board.time > passed, 1)
+                assert board.get('tx_bytes') > sent
+
+
+@pytest.mark.parametrize('path, words', [
+    (os.path.join(BOOTLOADERS, 'optiboot', 'optiboot_atmega328.hex'), 'too long for the flash'),
+    ('/dev/null', 'cannot load the bootloader')])
+def test_a_bootloader_that_does_not_fit_is_refused(firmware_build, path, words):
+    with pytest.raises(BoardError, match=words):
+        EmulatedBoard(firmware_build, 'car', bootloader=path)
