@@ -149,7 +149,9 @@ def test_without_custom_messages_nothing_is_announced(bus, car):
     assert car.read(TYPE) == []
 
 
-@pytest.mark.parametrize('example', ['Hello', 'HelloESP32', 'DiffDrive', 'Sensor', 'Slave'])
+@pytest.mark.parametrize('example', [
+    'Button', 'Buzzer', 'DiffDrive', 'Hello', 'HelloESP32', 'NeoPixel', 'Potentiometer', 'Sensor',
+    'ServoArm', 'Slave', 'Sonar'])
 def test_the_rows_of_the_examples_are_valid(example):
     path = os.path.join(FIRMWARE, 'protocol', 'examples', example, example + '.ino')
     with open(path, encoding='utf-8') as file:

@@ -10,7 +10,8 @@ import subprocess
 import pytest
 
 from emulated_board import FIRMWARE
-from compilers import CORE, HERE, ON_THE_AVR, ON_THE_ESP, PROTOCOL, STRICT, check
+from compilers import (CORE, HERE, ON_THE_AVR, ON_THE_ESP, PROTOCOL, STRICT, STUBS,
+                       check)
 
 LIBRARY = os.path.dirname(PROTOCOL)
 EXAMPLES = sorted(glob.glob(LIBRARY + '/examples/*/*.ino'))
@@ -18,7 +19,7 @@ SKETCHES = sorted(path for board in ('nano_car', 'ctrl_board', 'range_imu')
                   for path in glob.glob(os.path.join(FIRMWARE, board, '*.*')))
 # What arduino-cli gives the compiler, and every warning an error.
 IDE = ['-std=gnu++11', '-fno-exceptions', '-ffunction-sections', '-fdata-sections',
-       '-fno-threadsafe-statics', '-flto', *STRICT, '-I', PROTOCOL]
+       '-fno-threadsafe-statics', '-flto', *STRICT, '-I', PROTOCOL, '-I', STUBS + '/neopixel']
 FUNCTION = re.compile(r'^(?!static const|struct|class|ISR)(\w[\w ]*[ &*]+\w+\([^;{}]*\)) \{', re.M)
 OTHER_AVRS = {
     'Mega': ['-mmcu=atmega2560', '-I', CORE + '/variants/mega'],
