@@ -36,6 +36,7 @@ esp    | qemu-system-misc                            |
 view   | rviz python3-rviz ros-robot-state-publisher | ros-noetic-rviz ros-noetic-robot-state-publisher
 view   | xvfb                                        | xvfb
 pictures | imagemagick                               | imagemagick
+api    | python3-sphinx doxygen                      | python3-sphinx doxygen
 END
 }
 

@@ -186,9 +186,12 @@ class Board {
     while (!stop_requested) {
       if (mcu_.has_bootloader()) act_as_adapter();
       if (!mcu_.run_until(mcu_.cycles() + uint64_t(kSlice * mcu_.frequency()))) {
-        fprintf(stderr, "avr_emulator: the program stopped at %.6f s\n", mcu_.seconds());
-        status = 1;
-        break;
+        if (!mcu_.has_bootloader()) {
+          fprintf(stderr, "avr_emulator: the program stopped at %.6f s\n", mcu_.seconds());
+          status = 1;
+          break;
+        }
+        mcu_.crash();  // as half a program does after an upload that ended: until the next one
       }
       const std::string sent = mcu_.uart_take_sent();
       sent_bytes_ += sent.size();

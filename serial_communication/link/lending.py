@@ -5,13 +5,13 @@ from typing import Callable, Optional, Tuple
 from ..framing.layout import readable
 from ..transport.pace import clock
 from ..transport.port import Loan, Port, PortError
-from .outcome import LOOK, Refused
+from .outcome import LOOK, NOT_SENT, TIMEOUT, Outcome, Refused
 
 LONGEST_LOAN = 10.0    # s, from each call
 _LONGEST_NAME = 60     # characters
 _CLOSES_WITHIN = 1.5   # s for the link's thread to take the task and to close the port
 
-Answer = Tuple[bool, str]     # whether it was done, and what was done or why not
+Answer = Tuple[bool, str]     # whether it was done; what was done, or an `Outcome.text`: why not
 
 
 class Lending:
@@ -43,48 +43,49 @@ class Lending:
         `LONGEST_LOAN`; 0 ends the loan. The same name may change its loan at any time."""
         by, loan = readable(by).strip()[:_LONGEST_NAME], self._port.loan
         if not by or not seconds >= 0:      # NaN is refused, too
-            return False, f'by is {by!r} and seconds {seconds:g}: a name and 0 … 10 are needed'
+            return _refused(f'by is {by!r} and seconds {seconds:g}: a name and 0 … 10 are needed')
         if loan and loan.by != by and loan.runs:
-            return False, f'the port is {loan}'
+            return _refused(f'the port is {loan}')
         new = Loan(by, clock() + min(seconds, LONGEST_LOAN))
         if not seconds:
             if loan and loan.by == by:
                 self._port.lend_closed(new)
             return True, 'the port is opened again'
         if not self._port.lend_closed(new):
-            why_not = self._do(_Task(str(new), loan=new))
-            if why_not:
-                return False, why_not
+            failure = self._do(_Task(str(new), loan=new))
+            if failure:
+                return failure
         deadline = time.monotonic() + _CLOSES_WITHIN
         while not self._port.has_closed():
             if time.monotonic() > deadline:
                 self._port.lend_closed(new._replace(until=0.0))
-                return False, 'the port is just being opened or closed, which takes long'
+                return _refused('the port is just being opened or closed, which takes long')
             time.sleep(0.005)
         return True, f'{new} for {min(seconds, LONGEST_LOAN):g} s'
 
     def reset(self) -> Answer:
         """Reset the board by its control line, and open the port again."""
         if not self.line:
-            return False, 'no line that resets this board is known (parameter reset_line)'
+            return _refused('no line that resets this board is known (parameter reset_line)')
         if self._port.is_pty or self._port.is_network:
-            return False, f'the port {self._port.url} has no control lines'
-        why_not = self._do(_Task(f'the board is reset by {self.line.upper()}', line=self.line))
-        return not why_not, why_not or f'reset by {self.line.upper()}'
+            return _refused(f'the port {self._port.url} has no control lines')
+        failure = self._do(_Task(f'the board is reset by {self.line.upper()}', line=self.line))
+        return failure or (True, f'reset by {self.line.upper()}')
 
-    def _do(self, task: '_Task') -> str:
-        """Have the link's thread do a task; return why it was not done, or ''."""
+    def _do(self, task: '_Task') -> Optional[Answer]:
+        """Have the link's thread do a task; return None, or why it was not done."""
         if self._may_be_old():
-            return 'the call may have waited while the bridge stalled; call again'
+            return _refused('the call may have waited while the bridge stalled; call again')
         self._task = task
         self._wake()
         deadline = time.monotonic() + _CLOSES_WITHIN
         while task.why_not is None:
             if time.monotonic() > deadline or self._task not in (task, None):
                 self._task = None       # two tasks at once: at least one of them fails
-                return f'the link did not confirm it in time; {LOOK}'
+                return False, Outcome(
+                    TIMEOUT, f'the link did not confirm it in time; {LOOK}').text
             time.sleep(0.005)
-        return task.why_not
+        return _refused(task.why_not) if task.why_not else None
 
     def step(self) -> None:
         """In the link's thread, whether the port is open or not."""
@@ -108,6 +109,10 @@ class Lending:
         if task.line:
             port.pulse(task.line)
         return ''
+
+
+def _refused(why: str) -> Answer:
+    return False, Outcome(NOT_SENT, why).text
 
 
 class _Task:

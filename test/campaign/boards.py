@@ -10,7 +10,7 @@ from .lines import Clock, SerialLine
 
 # s: silences that are a fence: after three lost ECHOs and a SYNC, of a board that never echoes.
 _SILENCE, _SHORT_SILENCE = 0.29, 0.019
-_SILENT = 1.4            # s of silence of the car after which the bridge drops output of a pty
+_SILENT = 1.0            # arduino/network_silence: then the bridge drops the output of a pty
 _DROPS = 0.5             # s in which it notices that the car talks again
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
 # Custom messages of the car: a number, bytes and a sign of life that it sends, and two commands.

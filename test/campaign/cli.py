@@ -10,7 +10,7 @@ from typing import Any, Dict, Iterator, NamedTuple, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
-from . import exact_bus, exact_car, exact_data, exact_faults, exact_node, exact_time
+from . import exact_bus, exact_car, exact_data, exact_faults, exact_node
 from .lines import NetworkLine
 from .requirements import Table
 from .rig import NAMES, Rig, Scenario
@@ -33,7 +33,7 @@ class Group(NamedTuple):
 
 GROUPS = (
     Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
-           *exact_node.SERIAL, *exact_time.SERIAL), events=(
+           *exact_node.SERIAL), events=(
         'arduino: .* refused: .*clos', 'arduino: .* refused: its stamp',
         'arduino: .* refused: .*latches', 'arduino: .* refused: .*old connection',
         'arduino: .* refused: .*calibrates', 'arduino: LED .*refused', 'arduino: .*stalled for',

@@ -19,6 +19,11 @@ from .rig import NOISE, UNTIL_PUBLISHED, Rig
 _COUNTED = 'the counters in /diagnostics are exact'
 _FRAME_TIMEOUT = 0.05    # s: the bridge's default
 _REPORT_PERIOD = 1.3     # s at most between two reports of a silent board
+_TIME = 254              # the type of the board's time
+_TIMES, _EACH = 300, 0.01       # measurements with it, and s between two
+_KNOWN = 200             # measurements until the bridge knows the clock; twice what it says
+_WITHIN = 0.005          # s from the measurement
+_RATE = 1.003e6          # ticks of the board's clock in a second
 _VALID = codec.mcu_frame(0x55, 0, bytes(range(16, 32)))
 _FALSE_START = b'\x02\xFF\x55'
 # Invalid bytes, and the counter of each; each comes between valid frames.
@@ -206,4 +211,62 @@ def silent(rig: Rig) -> None:
     rig.car.talks = True
 
 
-SERIAL = measurements, damaged, lost_frames, false_starts, traffic, settings, silent
+def _send_with_time(rig: Rig, batch: float, damaged: int, origin: int) -> List[float]:
+    """Send TICKS behind TIME; return when each was measured, by time.time().
+
+    Args:
+        batch: s; the bytes are sent at each multiple of it; 0.0: at once.
+        damaged: each of so many times has no count. After 2.5 s all is held back for 0.2 s.
+        origin: the board's clock at the beginning, in µs.
+    """
+    measured, began, ahead = [], time.monotonic(), time.time() - time.monotonic()
+    for number in range(_TIMES):
+        at = began + number * _EACH
+        time.sleep(max(0.0, (math.ceil(at / batch) * batch if batch else at) - time.monotonic()))
+        at = at if batch else time.monotonic()
+        if number == _KNOWN + 50:
+            time.sleep(0.2)
+        board_time = struct.pack('<IB', round(origin + (at - began) * _RATE) % 2 ** 32, 1)
+        rig.car.line.write(
+            codec.arduino_packet(_TIME, board_time[:5 if number % damaged else 4])
+            + codec.arduino_packet(codec.TICKS, bytes((number % 256,))))
+        measured.append(at + ahead)
+    return measured
+
+
+def stamps(rig: Rig) -> None:
+    """A clock that drifts, wraps, and begins again elsewhere; batches, damage, a stall."""
+    never = rig.row('a stamp is never after the read')
+    within = rig.row("with the board's time a stamp is within 5 ms of the measurement")
+    reads: List[float] = []
+    subscriber = rig.robot.subscribe_to_traffic(
+        lambda frame: reads.append(frame.header.stamp.to_sec())
+        if (frame.link, frame.direction, frame.type) == ('arduino', 0, codec.TICKS) else None)
+    published = rig.robot.published['~ticks']
+    rig.wait(lambda: rig.car.measure() or rig.wait_beats(0.02) or reads, 'serial_msg')
+    for batch, damaged, origin, stalls in (
+            (0.0, _TIMES, 2 ** 32 - 2_500_000, False), (0.016, 7, 0, False),
+            (0.016, _TIMES, 2 ** 31, True)):
+        rig.settle()
+        if stalls:
+            with rig.suspended():
+                rig.sleep(0.5)
+            rig.sleep(1.0)          # until nothing is dropped any more
+        reads.clear()
+        measured = _send_with_time(rig, batch, damaged, origin)
+        with contextlib.suppress(StageError):
+            rig.wait(lambda: min(len(published), len(reads)) >= _TIMES, '', UNTIL_PUBLISHED)
+        for number, (at, one, read) in enumerate(itertools.zip_longest(measured, published, reads)):
+            if not never.check(at and one and read and one.key == number % 256,
+                               f'{number} of {len(published)} and {len(reads)} is not published'):
+                break
+            text = f'{number}: measured {at:.4f}, read {read:.4f}, stamped {one.stamp:.4f}'
+            never.check(one.stamp <= read + 1e-6, text)
+            if not number % damaged:
+                never.check(one.stamp == read, text)
+            elif number >= _KNOWN:
+                within.at_most(abs(one.stamp - at) * 1e3, _WITHIN * 1e3, 'ms', text)
+    subscriber.unregister()
+
+
+SERIAL = measurements, damaged, lost_frames, false_starts, traffic, settings, silent, stamps

@@ -1,4 +1,4 @@
-"""The one excuse: whether the machine let the bridge run, and moved the bytes of its lines."""
+"""The excuse: whether the machine let the bridge run, and moved the bytes of its lines."""
 import os
 import pty
 import threading

@@ -107,6 +107,11 @@ def test_boards_send_for_any_duration(line, number):
         board._number = number
         board.measure()
         assert len(board.sent) >= 4
+    board = BusBoard(line, Clock())
+    board.readings = number
+    for cmd2 in boards.POLLS:
+        board.ok_reply(Request(0.0, codec.FUNCTION, cmd2, b'', 0))
+    assert len(board.sent) == 5
 
 
 def test_a_gap_between_heartbeats_is_recorded(line):
@@ -120,7 +125,7 @@ def test_a_gap_between_heartbeats_is_recorded(line):
 
 
 @pytest.mark.parametrize('silent, not_arrived, gaps', [
-    (2.0, (1.02, 1.04), 0), (2.0, (1.02,), 1), (0.1, (1.02, 1.04), 1)])
+    (2.0, (1.02, 1.04), 0), (1.2, (1.02, 1.04), 0), (2.0, (1.02,), 1), (0.1, (1.02, 1.04), 1)])
 def test_heartbeats_that_the_bridge_drops_when_a_silence_ends_were_in_time(
         line, monkeypatch, silent, not_arrived, gaps):
     car, heartbeat, now = Car(line, Clock()), codec.arduino_packet(codec.HEARTBEAT), [-9.0]

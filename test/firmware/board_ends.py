@@ -140,7 +140,7 @@ def drive_until(car, speed, condition, seconds=5):
 
 
 def comes_at(car, kind, rate):
-    """Whether so many packets of that kind come in a second of the board's own clock, to 5 %."""
+    """Whether so many packets of that kind come in a second of the board's clock, within 5 %."""
     car.next(kind, rate + 1)
     kinds = [each for each, _ in car.packets]
     first, last = kinds.index(TIME), len(kinds) - 1 - kinds[::-1].index(TIME)

@@ -26,7 +26,7 @@ from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand, 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.srv import Lift, LiftResponse
+from serial_communication.srv import Lift, LiftResponse, Release
 from serial_communication.tools.watch.topics import TOPICS
 
 if not shutil.which('chromedriver') and os.path.isdir('/opt/ros/noetic'):
@@ -711,6 +711,29 @@ def test_calibration_needs_a_confirmation(control_page, robot):
         robot.sends = True
     control_page.wait(lambda page: page.text('[data-service="~calibrate_imu"] .words') == '',
                       'the calibration is over')
+
+
+def test_a_reset_is_asked_for_and_a_lent_link_takes_no_command(control_page, robot):
+    reset = '[data-service="~arduino/reset"] '
+    control_page.click(reset + 'button')
+    control_page.wait(lambda page: page.all(reset + 'dialog[open]'), 'the dialog is open')
+    assert 'The car stops' in control_page.text(reset + 'dialog')
+    control_page.click(reset + 'dialog button:last-of-type')
+    assert not any('reset' in each for each in control_page.texts('.answers li'))
+    press(control_page, reset + 'button',
+          lambda page: 'reset the board refused' in ''.join(page.texts('.answers li')[:1]),
+          'a pseudo terminal has no line for it',
+          lambda button: (control_page.click(button), control_page.click(reset + 'dialog button')))
+    assert 'has no control lines' in control_page.text('.answers li')
+    release = rospy.ServiceProxy(NODE + '/arduino/release', Release)
+    assert release('me', 10.0).success
+    try:
+        control_page.wait_for_text(reset + '.reason', 'the arduino link is lent to me')
+        assert not control_page.all(reset + 'button')[0].is_enabled()
+        assert control_page.texts('[data-service="~mcu/reset"] .reason') == ['']
+    finally:
+        release('me', 0.0)
+    control_page.wait_for_text(reset + '.reason', '')
 
 
 def test_text_for_the_led_is_sent_and_the_reply_of_a_function_shown_field_by_field(control_page,

@@ -30,7 +30,7 @@ from waiting import PATIENCE, Waiter, again_if_stalled, until  # noqa: E402,F401
 from witness import Witness  # noqa: E402
 
 PACKAGE = 'serial_communication'
-OK, WARN, ERROR = 0, 1, 2         # levels of diagnostics
+OK, WARN, ERROR = 0, 1, 2    # levels of diagnostics
 RX = 0                   # a direction of SerialMsg
 NOT_SENT, TIMEOUT = 253, 254     # statuses of a bus service beside a reply's CMD1
 

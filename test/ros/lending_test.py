@@ -11,11 +11,13 @@ import rostest
 from std_srvs.srv import Empty, Trigger
 
 from boards import (ERROR, NOT_SENT, PACKAGE, SPEED_0_PACKET, WARN, BoardsTest, BusBoard,
-                    CarBoard, Diagnostics, command_topic, program, service, until)
+                    CarBoard, Diagnostics, program, service, until)
 from serial_communication.boards.arduino.wire import Ticks
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Lift, Release
 
+PAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))),
+                    'doc', 'flashing.md')
 # A command that has the port open for some seconds.
 BORROW = '''
 import serial, sys, time
@@ -37,7 +39,12 @@ class LendingTest(BoardsTest):
         self.diagnostics = Diagnostics()
         self.addCleanup(self.diagnostics.close)
         self.board.write(b'\0')     # so that it is never silent
-        self.speed = command_topic('/%s/speed' % PACKAGE, SpeedPWMCommand)
+        self.speed = rospy.Publisher('/%s/speed' % PACKAGE, SpeedPWMCommand, queue_size=1)
+        self.drive()
+
+    def drive(self):
+        """Let the car drive."""
+        self.board.forget()
         until(lambda: 300 in self.board.speeds,
               doing=lambda: self.speed.publish(SpeedPWMCommand(value=300)))
 
@@ -63,10 +70,14 @@ class LendingTest(BoardsTest):
         self.assertEqual(process.wait(15), status)
         return process.stdout.read()
 
-    def command_of(self, process):
-        """The process id of its command."""
-        with open('/proc/%d/task/%d/children' % (process.pid, process.pid)) as file:
-            return int(file.read())
+    @staticmethod
+    def children_of(process):
+        """The process ids of its children; none once it has ended."""
+        try:
+            with open('/proc/%d/task/%d/children' % (process.pid, process.pid)) as file:
+                return list(map(int, file.read().split()))
+        except OSError:
+            return []
 
     def check_lent(self):
         """The last packet is SPEED 0, and nothing follows it."""
@@ -127,10 +138,39 @@ class LendingTest(BoardsTest):
     def test_a_command_borrows_the_port_and_gives_it_back(self):
         process = self.borrow(7.0)      # longer than a loan
         self.check_state(WARN, 'lent to python3 (pid %d)' % process.pid)
+        shown = subprocess.run([program('monitor'), '--once'], stdout=subprocess.PIPE,
+                               universal_newlines=True, timeout=30)
+        self.assertIn('lent to python3 (pid %d)' % process.pid, shown.stdout)
         self.assertEqual(bytes(self.board.wire), b'')
         self.assertEqual(self.ends(process, 0), '')
         self.check_back(4.0)
         self.assertTrue(self.bridge.alive)
+
+    def test_a_terminal_on_the_port(self):
+        """The line of doc/flashing.md."""
+        with open(PAGE, encoding='utf-8') as page:
+            line, = (line for line in page if 'miniterm {port}' in line)
+        keys, terminal = os.openpty()
+        screen = os.fdopen(keys, 'r+b', buffering=0)
+        self.addCleanup(screen.close)
+        process = subprocess.Popen(['bash', '-c', 'exec ' + line], stdin=terminal, stdout=terminal,
+                                   stderr=terminal, start_new_session=True)
+        self.addCleanup(process.wait)
+        self.addCleanup(process.kill)
+        os.close(terminal)
+        shown = screen.read(1000)
+        while b'--- Quit' not in shown:
+            shown += screen.read(1000)
+        self.check_lent()
+        screen.write(b'hello')
+        until(lambda: b'hello' in self.board.wire, 'the board reads it')
+        self.board.write(b'from the board')
+        while b'from the board' not in shown:
+            shown += screen.read(1000)
+        screen.write(b'\x1d')       # Ctrl-]
+        self.assertEqual(process.wait(15), 0)
+        self.board.forget()
+        self.check_back()
 
     def test_the_exit_status_is_the_commands(self):
         for status, command in ((0, 'true'), (3, 'exit 3'), (137, 'kill -9 $$')):
@@ -160,15 +200,47 @@ class LendingTest(BoardsTest):
 
     # -- what is killed or suspended --------------------------------------------------------
 
+    def test_kill_while_the_port_is_being_lent(self):
+        """Right after the last SPEED 0, when nobody has been told yet that the port is lent."""
+        for victim in self.kill_release, self.kill_bridge:
+            self.board.forget()
+            process = self.program(sys.executable, '-c', BORROW, '{port}', '0')
+            until(lambda: SPEED_0_PACKET in self.board.wire, 'SPEED 0', every=0.0005)
+            self.check_victim(victim, process)
+
+    def test_kill_while_the_port_is_given_back(self):
+        """Right after the end of the command."""
+        for victim in self.kill_release, self.kill_bridge:
+            process = self.borrow(0.5)
+            until(lambda process=process: not self.children_of(process), 'the command ends',
+                  every=0.0005)
+            self.check_victim(victim, process)
+
+    @staticmethod
+    def kill_release(process):
+        process.kill()
+
+    def kill_bridge(self, _process):
+        self.bridge.kill()
+        self.bridge = self.start_bridge(parameters=self.parameters)
+
+    def check_victim(self, kill, process):
+        """After the kill the port is opened with SPEED 0, and the car is driven again."""
+        self.board.forget()
+        kill(process)
+        self.check_back()
+        process.wait(15)
+        self.drive()
+
     def test_kill_of_the_command(self):
         process = self.borrow()
-        os.kill(self.command_of(process), signal.SIGKILL)
+        os.kill(self.children_of(process)[0], signal.SIGKILL)
         self.ends(process, 137)
         self.check_back(4.0)
 
     def test_kill_of_the_program(self):
         process = self.borrow()
-        command = self.command_of(process)
+        command, = self.children_of(process)
         process.kill()
         until(lambda: not os.path.exists('/proc/%d' % command), 'its command is killed, too')
         self.check_back()

@@ -51,6 +51,7 @@ SAYS = (
     ('demo', '--faults all --ports bus=/dev/ttyS0', '--faults goes with the simulated boards'),
     ('test', 'everything', 'unknown part: everything'),
     ('test', 'ros/nothing', 'no file test/ros/nothing.test'),
+    ('api', '--fast', 'unknown argument: --fast'),
     ('pictures', '--fast', 'unknown argument: --fast'))
 
 
@@ -77,7 +78,7 @@ def test_help_prints_the_usage(name, option, tmp_path):
         assert max(map(len, done.stdout.splitlines())) <= 100
 
 
-@pytest.mark.parametrize('name', ['avr_board', 'bench', 'demo', 'pictures', 'soak', 'test'])
+@pytest.mark.parametrize('name', ['api', 'avr_board', 'bench', 'demo', 'pictures', 'soak', 'test'])
 def test_help_installs_and_builds_nothing_and_touches_no_ros(name, tmp_path):
     checkout = tmp_path / 'checkout'
     for folder in 'scripts', 'test/bench', 'test/campaign', 'test/helpers', 'firmware':

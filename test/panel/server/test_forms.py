@@ -53,6 +53,8 @@ def test_the_services_of_the_boards_are_those_of_their_descriptions():
                         'preset': 20, 'choices': ()}
     assert dict(direction['choices']) == {'▲ up': 0, '▼ down': 1}
     assert services['~calibrate_imu'].confirm.startswith('The car must not move')
+    assert services['~arduino/reset'].confirm.startswith('The car stops')
+    assert services['~mcu/reset'].confirm and not services['~bus/sync'].confirm
 
 
 def test_a_service_has_the_limits_of_its_types_narrowed_by_its_row():

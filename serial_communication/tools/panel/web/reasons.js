@@ -12,6 +12,7 @@ export function whyNot(model, connection, now, link) {
   if (status.at === null) return model.trouble || `no status of the ${link} link yet`;
   if (status.stale(now)) return `the bridge has been silent for ${formatAge(now - status.at)}`;
   if (status.summary.startsWith('closed')) return `the ${link} link is closed`;
+  if (status.summary.startsWith('lent to')) return `the ${link} link is ${status.summary}`;
   return status.summary.startsWith('calibrating') ? 'the IMU is being calibrated' : '';
 }
 
