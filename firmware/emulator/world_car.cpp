@@ -121,7 +121,7 @@ class CarWorld : public World {
 
     const auto changed = [this] { record_outputs(); };
     for (uint16_t address : {kOcr2a, kOcr2b, kTccr2a, kOcr1al, kTccr1b}) mcu.on_write(address, changed);
-    for (int bit : {5, 6, 7}) mcu.on_output_pin('D', bit, [this](bool) { record_outputs(); });
+    for (int bit : {3, 5, 6, 7}) mcu.on_output_pin('D', bit, [this](bool) { record_outputs(); });
     for (int bit : {0, 3, 4, 5}) mcu.on_output_pin('B', bit, [this](bool) { record_outputs(); });
     record_outputs();
 

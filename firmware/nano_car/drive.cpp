@@ -28,6 +28,8 @@ const uint8_t kPauseTicks = 3;
 int8_t direction = 0;         // of the bridge: 1, -1, or 0 with both inputs low
 int8_t wanted_direction = 0;  // direction after the pause
 uint8_t wanted_duty = 0;
+uint16_t duty = 0;            // of now, 1/256
+uint16_t ramp_step = 0xFFFF;  // by which it may rise in a tick, 1/256
 uint8_t pause_ticks = 0;
 bool heartbeat_lost = false;
 
@@ -36,7 +38,7 @@ volatile uint8_t ticks_of_beats = 0;
 volatile uint8_t beats = 0;
 
 void bridge_off() {
-  OCR2B = 0;  // phase correct PWM holds the pin low at 0
+  OCR2B = duty = 0;  // phase correct PWM holds the pin low at 0
   digitalWrite(kMotorForwardPin, LOW);
   digitalWrite(kMotorBackwardPin, LOW);
   if (direction != 0) pause_ticks = kPauseTicks;
@@ -54,6 +56,12 @@ void stop() {
   heartbeat_lost = true;
 }
 
+void set_duty(uint16_t most) {
+  const uint16_t wanted = uint16_t(wanted_duty) << 8;
+  duty = wanted < most ? wanted : most;
+  OCR2B = duty >> 8;
+}
+
 // Sets the bridge as wanted; called again at the end of a pause.
 void drive_motor() {
   if (direction != wanted_direction) bridge_off();
@@ -61,7 +69,7 @@ void drive_motor() {
   direction = wanted_direction;
   digitalWrite(kMotorForwardPin, direction > 0);
   digitalWrite(kMotorBackwardPin, direction < 0);
-  OCR2B = wanted_duty;
+  set_duty(duty);  // it falls at once, and rises at the next ticks
 }
 
 void beat() {
@@ -77,7 +85,11 @@ void beat() {
 STOP_WITHOUT_HEARTBEATS(stop)
 
 ISR(TIMER0_COMPB_vect) {
-  if (pause_ticks > 0 && --pause_ticks == 0 && wanted_direction != 0) drive_motor();
+  if (pause_ticks > 0) {
+    if (--pause_ticks == 0 && wanted_direction != 0) drive_motor();
+  } else if (direction != 0) {
+    set_duty(duty < 0xFFFF - ramp_step ? duty + ramp_step : 0xFFFF);
+  }
 }
 
 ISR(TIMER1_OVF_vect) { beat(); }
@@ -125,6 +137,11 @@ void drive_set_speed(int16_t speed) {
       drive_motor();
     }
   }
+}
+
+void drive_set_ramp(uint16_t milliseconds) {
+  const uint16_t step = milliseconds < 2 ? 0xFFFF : 66846UL / milliseconds;  // 255 * 256 in ticks of 1.024 ms
+  ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { ramp_step = step; }
 }
 
 void drive_set_steering(uint16_t pulse_us) {

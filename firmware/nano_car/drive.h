@@ -16,6 +16,9 @@ void drive_begin(PacketLink& link);
 // two to three milliseconds.
 void drive_set_speed(int16_t speed);
 
+// The time in which the motor's speed rises from 0 to 1000; 0: at once. It falls at once, whatever this is.
+void drive_set_ramp(uint16_t milliseconds);
+
 // Microseconds, limited to the range of the servo.
 void drive_set_steering(uint16_t pulse_us);
 

@@ -10,6 +10,16 @@
 #include "drive.h"
 #include "imu.h"
 
+// Numbers that the bridge may change while the program runs. None of them delays a stop.
+//      number, variable, type, value at the start, minimum, maximum, unit, description
+#define SETTINGS(SETTING)                                                                            \
+  SETTING(1, motor_ramp, uint16_t, 0, 0, 2000, "ms", "time in which the speed rises from 0 to 1000") \
+  SETTING(2, steering_range, uint16_t, 500, 50, 500, "us", "of the servo, to each side of 1500 us")  \
+  SETTING(3, imu_rate, uint8_t, 100, 1, 100, "Hz", "IMU packets")
+
+SETTINGS(SETTING_VARIABLE)
+static constexpr Setting kSettings[] PROGMEM = {SETTINGS(SETTING_ENTRY)};
+
 static PacketLink bridge(Serial);
 static Imu imu;
 
@@ -18,6 +28,9 @@ static bool imu_ready = false;  // it was started, and has had values
 static bool calibrating = false;
 static uint8_t imu_retry_beats = 0;
 static uint8_t imu_failures = 0;  // since it was ready, modulo 10
+static uint16_t imu_due = 0;      // 100: a packet is
+
+static uint16_t steering_us = kServoCentreUs;  // as commanded
 
 // The lamps of the last LED command, and the counter for the blinking of the indicators.
 static bool lamp_left = false;
@@ -48,7 +61,14 @@ static void handle_speed(int16_t speed) {
 }
 
 static void handle_steering(uint16_t pulse_us) {
-  if (!calibrating) drive_set_steering(pulse_us);
+  if (calibrating) return;
+  steering_us = pulse_us;
+  drive_set_steering(constrain(pulse_us, kServoCentreUs - steering_range, kServoCentreUs + steering_range));
+}
+
+static void handle_setting(uint8_t) {
+  drive_set_ramp(motor_ramp);
+  handle_steering(steering_us);
 }
 
 static bool same(const char* text, PGM_P other) { return strcmp_P(text, other) == 0; }
@@ -72,7 +92,8 @@ static const char kRows[] PROGMEM =
     "force: {type: 32, ros_type: std_msgs/Float32, layout: '<h', fields: [data], scale: 0.01,"
     " minimum: 0, maximum: 300}\n"
     "gripper: {type: 48, direction: to_board, ros_type: geometry_msgs/Vector3, layout: '<hB', fields: [x, z],"
-    " scale: [0.1, 0.00392156862745098], minimum: [-100, 0], maximum: [100, 1]}\n";
+    " scale: [0.1, 0.00392156862745098], minimum: [-100, 0], maximum: [100, 1]}\n"
+    SETTINGS(SETTING_ROW);
 
 struct PACKED Force {
   int16_t centinewtons;
@@ -92,6 +113,8 @@ static void handle_gripper(const Gripper& gripper) {
   const int16_t position = constrain(gripper.position, -1000, 1000);
   analogWrite(kGripperPin, gripper.force > 0 ? (position + 1000L) * 255 / 2000 : 0);
 }
+#else
+static const char kRows[] PROGMEM = "firmware: nano_car 1.2.0\n" SETTINGS(SETTING_ROW);
 #endif
 
 static void handle_calibration() {
@@ -147,6 +170,9 @@ static void update_imu(uint8_t beats) {
     imu_failures = 0;
     imu.calibrated() ? bridge.info(F("IMU ready")) : bridge.warn(F("IMU ready, not calibrated"));
   }
+  imu_due += imu_rate * beats;
+  if (imu_due < 100) return;
+  imu_due %= 100;
   bridge.send_imu(data);
 }
 
@@ -190,8 +216,9 @@ void setup() {
   bridge.on_calibration(handle_calibration);
 #ifdef CUSTOM_MESSAGES
   bridge.on<Gripper>(48, handle_gripper);
-  bridge.announce(kRows);
 #endif
+  bridge.announce(kRows);
+  bridge.settings(kSettings, handle_setting);
   pinMode(kLedLeftPin, OUTPUT);
   pinMode(kLedRightPin, OUTPUT);
   pinMode(kLedBrakePin, OUTPUT);

@@ -1,4 +1,5 @@
-// The sensor board: two VL53L0X behind a TCA9548A and a BNO055, reported in a status frame 20 times a second.
+// The sensor board: two VL53L0X behind a TCA9548A and a BNO055, reported in a status frame 20 times a second, or as a
+// setting has it.
 // Meant for an ESP32; the same program runs on an ATmega328P with other sensor access (see sensors.h).
 
 #include <FrameLink.h>
@@ -10,10 +11,18 @@
 #endif
 
 static const uint32_t kBaud = 115200;
-static const uint32_t kFramePeriodMs = 50;
-// A sensor ranges every 33 ms. Without a measurement for this time it has timed out, and is started again.
-static const uint32_t kRangeTimeoutMs = 200;
 static const uint32_t kRestartMs = 1000;
+
+// Numbers that the bridge may change while the program runs. A sensor ranges every 33 ms; without a measurement for
+// range_timeout it has timed out, and is started again.
+//      number, variable, type, value at the start, minimum, maximum, unit, description
+#define SETTINGS(SETTING)                                                                               \
+  SETTING(1, frame_period, uint16_t, 50, 20, 500, "ms", "from one status frame to the next")            \
+  SETTING(2, range_timeout, uint16_t, 200, 100, 1000, "ms", "without a measurement: there is no range")
+
+SETTINGS(SETTING_VARIABLE)
+static constexpr Setting kSettings[] PROGMEM = {SETTINGS(SETTING_ENTRY)};
+static const char kRows[] PROGMEM = "firmware: range_imu 1.2.0\n" SETTINGS(SETTING_ROW);
 
 static FrameLink bridge(Serial);
 static SensorStatus status = {{kRangeTimedOut, kRangeTimedOut}, 0, kAngleUnknown, kAngleUnknown};
@@ -27,7 +36,7 @@ static void update_range(uint8_t sensor, uint32_t now) {
   if (range_read(sensor, &millimetres)) {
     read_ms[sensor] = now;
     status.range_mm[sensor] = millimetres;
-  } else if (now - read_ms[sensor] >= kRangeTimeoutMs) {
+  } else if (now - read_ms[sensor] >= range_timeout) {
     status.range_mm[sensor] = kRangeTimedOut;
   }
 }
@@ -62,14 +71,17 @@ void setup() {
   safe_begin();
   Serial.begin(kBaud);
   sensors_begin();
+  bridge.announce(kRows);
+  bridge.settings(kSettings);
 }
 
 void loop() {
   safe_update();
+  bridge.update();
   const uint32_t now = millis();
   // After the slow start of a sensor the next frames are due from now on, without a burst.
-  if (now - frame_ms >= kFramePeriodMs) {
-    frame_ms = now - frame_ms >= 2 * kFramePeriodMs ? now : frame_ms + kFramePeriodMs;
+  if (now - frame_ms >= frame_period) {
+    frame_ms = now - frame_ms >= 2ul * frame_period ? now : frame_ms + frame_period;
     bridge.time(micros());
     update_range(0, now);
     update_range(1, now);

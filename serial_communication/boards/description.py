@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
 from ..framing.custom_messages import RowError
+from ..framing.settings import KEY
 from ..framing.stream import Decoder
 
 BAUD_RANGE = 50, 4000000    # of a port
@@ -97,6 +98,7 @@ class Description:
     services: Tuple[Service, ...] = ()       # that the page offers
     other_names: Tuple[str, ...] = ()        # of command topics and of other services
     custom: Optional[CustomRows] = None
+    settings: Optional[CustomRows] = None    # rows of `framing.settings`
     # Parameters, false by default, that change how bytes are decoded, with their meaning.
     wire_flags: Mapping[str, str] = field(default_factory=dict)
     numbering: Numbering = Numbering.NOTHING
@@ -121,6 +123,11 @@ class Description:
         """The names of its topics and services, relative to the node."""
         return [*(topic.name for topic in self.topics),
                 *(service.name for service in self.services), *self.other_names]
+
+    def rows_of(self, row: Any) -> Optional[CustomRows]:
+        """What a row, as a board announces it, is one of."""
+        is_setting = self.settings and isinstance(row, dict) and KEY in row
+        return self.settings if is_setting else self.custom
 
     def baud_of(self, parameters: Mapping[str, Any]) -> int:
         """The rate of the port: `baud` of the board's parameters, else the description's; RowError

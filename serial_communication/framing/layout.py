@@ -366,6 +366,11 @@ class LayoutMessage(tuple):
         return self.LAYOUT.implausible(self)
 
     @classmethod
+    def layout_of(cls, data: bytes) -> Layout:
+        """The layout that these data should have."""
+        return cls.LAYOUT
+
+    @classmethod
     def parts(cls, data: bytes) -> List[Part]:
         return cls.LAYOUT.parts(data)
 

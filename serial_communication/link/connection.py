@@ -179,6 +179,7 @@ class Connection:
         link.log.info('opened', f'{self._port.url}: open')
         link.decoder.reset()
         link.stamps.reset()
+        link.board_settings.reset()
         link.unknown_bytes.opened()
         self._timer.reset()
         now = time.monotonic()

@@ -11,6 +11,7 @@ from .connection import Connection
 from .lending import Lending
 from .outcome import Refused  # noqa: F401  for the boards
 from .presence import SILENCE, STARTUP_TIME, PresenceLog
+from .settings import BoardSettings
 from .sparing_log import SparingLog
 from .stamps import Stamps
 from .unknown_bytes import OtherBoard, UnknownBytes
@@ -69,6 +70,9 @@ class Link:
         self.unknown_bytes = UnknownBytes(
             (other for other in other_boards if other.name != name), port.baud, self.PRINT_TO)
         self.stamps = Stamps(port, earlier, self.log, board_time)
+        takes_rows: Any = decoder      # that of a board with settings
+        self.board_settings = BoardSettings(
+            self.log, lambda kind: takes_rows.add_message(kind), lambda: self.wake())
         self.connection = Connection(self, frame_timeout, clock)
         self.lending = Lending(port, self.connection.wake, self.connection.may_be_from_a_stall)
         self._clock = clock
@@ -196,6 +200,7 @@ class Link:
             *sorted((cause + ' errors', count) for cause, count in counted.items()),
             *self.extra_values(),
             *self.stamps.values(),
+            *self.board_settings.values(),
         ]
         announcement = self.announcement
         if announcement.rows is not None:

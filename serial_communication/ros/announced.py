@@ -13,6 +13,7 @@ import rospy
 from ..boards.description import ANNOUNCED, Description
 from ..framing.announcement import read_announcement
 from ..framing.custom_messages import RowError, meaning
+from ..framing.settings import Setting
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..transport.pace import Allowance
@@ -50,6 +51,8 @@ class AnnouncedRows:
         self._key = f'{board.name}/{ANNOUNCED}'
         assert board.custom, f'{board.name} has no custom rows'
         self._custom = board.custom
+        self._rows_of = board.rows_of
+        self._settings_prefix = board.settings.prefix if board.settings else ''
         self._configured = list(configured)
         self._resolve = resolve
         self._add = add
@@ -101,7 +104,7 @@ class AnnouncedRows:
         accepted: Dict[str, Any] = {}
         for name, row in given.items():
             try:
-                custom, = self._custom.read({name: row}, self._key)
+                custom, = (self._rows_of(row) or self._custom).read({name: row}, self._key)
                 if not self._is_configured(custom):
                     self._refuse_second(custom, [each.custom for each in accepted.values()], names)
                     accepted[name] = self._resolve(custom)
@@ -112,7 +115,7 @@ class AnnouncedRows:
     def _is_configured(self, custom: Any) -> bool:
         """Return whether a row of the parameters is used instead; warn if it differs."""
         for other in self._configured:
-            if custom.name == other.name or custom.number == other.number:
+            if custom.number == other.number or self._name(custom) == self._name(other):
                 if meaning(custom) != meaning(other):
                     same = 'name' if custom.name == other.name else custom.number[0]
                     self._warn(f'the announced row {custom.name} is left out: the parameter '
@@ -127,7 +130,7 @@ class AnnouncedRows:
             if other.number == custom.number:
                 raise RowError(f'{custom.key}/{key}', number,
                                f'is already the {key} of {other.name}')
-        user = names.get(self._custom.prefix + custom.name, custom.key)
+        user = names.get(self._name(custom), custom.key)
         if user != custom.key:
             raise RowError(custom.key, custom.name, f'has the name of {user}')
 
@@ -135,20 +138,25 @@ class AnnouncedRows:
         custom = row.custom
         try:
             self._made[custom.name] = _Made(custom, given, self._add(row))
-            names[self._custom.prefix + custom.name] = custom.key
+            names[self._name(custom)] = custom.key
         except Exception as error:  # pylint: disable=broad-except
             self._warn(f'the announced row {custom.name} is left out: {explained(error)}')
 
     def _take_down(self, name: str, names: Dict[str, str]) -> None:
-        del names[self._custom.prefix + name]
+        del names[self._name(self._made[name].custom)]
         try:
             self._made.pop(name).take_down()
         except Exception as error:  # pylint: disable=broad-except
             self._warn(f'{name} is announced no longer, but cannot be taken down: {error}')
 
+    def _name(self, custom: Any) -> str:
+        """Return the name of a row's topic, service or parameter."""
+        is_setting = isinstance(custom, Setting)
+        return (self._settings_prefix if is_setting else self._custom.prefix) + custom.name
+
     def _set_parameter(self, rows: Dict[str, Any], parameters: Dict[str, Any],
                        log: SparingLog) -> None:
-        board, rows = self.link.name, _for_xml_rpc(rows)
+        board, rows = self.link.name, for_xml_rpc(rows)
         parameters[board] = {**parameters.get(board, {}), ANNOUNCED: rows}
         name = f'~{board}/{ANNOUNCED}'
         try:
@@ -163,12 +171,12 @@ class AnnouncedRows:
             self.link.log.always_warn(text)
 
 
-def _for_xml_rpc(value: Any) -> Any:
+def for_xml_rpc(value: Any) -> Any:
     """Return the value with floats for the integers that XML-RPC cannot carry."""
     if isinstance(value, dict):
-        return {key: _for_xml_rpc(each) for key, each in value.items()}
+        return {key: for_xml_rpc(each) for key, each in value.items()}
     if isinstance(value, list):
-        return [_for_xml_rpc(each) for each in value]
+        return [for_xml_rpc(each) for each in value]
     return float(value) if type(value) is int and not -_XML_RPC <= value < _XML_RPC else value
 
 

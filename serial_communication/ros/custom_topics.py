@@ -13,6 +13,7 @@ from ..boards import descriptions
 from ..boards.description import Description
 from ..framing.custom_messages import CustomMessage, RowError
 from ..framing.layout import LayoutMessage
+from ..framing.settings import Setting
 from .announced import AnnouncedRows
 from .commands import CommandTopic
 from .fields import RosFields, find_type
@@ -179,9 +180,12 @@ class MessageTopics:
 
     def announced(self, link: Any, age_limit: float = 0.0) -> AnnouncedRows:
         """Return the rows that the link's board announces."""
-        return AnnouncedRows(self._board, link, [row.custom for row in self._rows],
-                             lambda custom: resolve(custom, self._prefix),
-                             lambda row: self._add(row, link, age_limit))
+        settings = link.board_settings
+        return AnnouncedRows(
+            self._board, link, [*(row.custom for row in self._rows), *settings.rows],
+            lambda custom: custom if isinstance(custom, Setting) else resolve(custom, self._prefix),
+            lambda row: settings.add(row, announced=True) if isinstance(row, Setting) else
+            self._add(row, link, age_limit))
 
     def _topic(self, row: RosMessage) -> ValuePublisher:
         return ValuePublisher(self._prefix + row.custom.name, row.message_class, row.fields,

@@ -32,6 +32,8 @@ from .rospy_mends import (background_logging, direct, handshake, log_file, maste
                           shortage)
 from .rospy_mends.master_watch import MasterWatch, merged
 from .rospy_mends.shutdown import is_shutdown_requested
+from .settings import PAUSE as SETTINGS_PAUSE
+from .settings import serve as serve_settings
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
@@ -207,6 +209,8 @@ class Bridge:
         for interface in self._interfaces:
             if interface.announced:
                 interface.announced.serve(self._announcements, custom_names, given, log)
+        self._settings_worker = LatestWorker('settings', SETTINGS_PAUSE, partial(log_fault, log))
+        serve_settings(self._links, given, self._settings_worker, SparingLog('settings', _LOGGER))
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -221,6 +225,7 @@ class Bridge:
                 interface.advertise()
                 _offer_lending(interface.link)
         self._announcements.start()
+        self._settings_worker.start()
         self._diagnostics.start()
 
     def stop(self) -> None:

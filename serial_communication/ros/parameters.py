@@ -16,6 +16,7 @@ from .external_boards import board_interfaces
 from .interface import Interface
 from .parameter import (RESET_LINE, Parameter, ParameterError, Parameters, frame_id, not_empty,
                         seconds)
+from .settings import start_values
 
 
 NODE_PARAMETERS: Parameters = {
@@ -25,6 +26,7 @@ NODE_PARAMETERS: Parameters = {
     'publish_tf': Parameter(False),
     'base_frame_id': frame_id('base_link'),
     'frame_prefix': Parameter(''),
+    'settings': Parameter({}, parse=start_values),
 }
 BUILT_IN: List[Type[Interface]] = [description(name).interface for name in BOARDS]
 

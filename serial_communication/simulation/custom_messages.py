@@ -1,17 +1,18 @@
-"""Custom messages that simulated boards send and announce, and values for replies to functions.
+"""Custom messages and settings of simulated boards, and values for replies to functions.
 
 Values oscillate between their minimum and maximum, or between -100 and 100 without limits. One
 that may be "no value" is that for one second in ten.
 """
 import argparse
 import math
-from typing import Any, Iterable, List, Mapping, Optional, Tuple
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
 
 from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
-from ..framing.announcement import Chunk, chunks_of, write_announcement
+from ..framing.announcement import chunks_of, write_announcement
 from ..framing.custom_messages import CustomMessage
 from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
+from ..framing.settings import Setting, SettingMessage, message_of
 from ..transport.pace import Every
 
 PERIOD = 0.1      # s between two messages of a kind
@@ -24,7 +25,7 @@ _NO_VALUE_FOR = 1.0    # s of each period
 
 
 class Configured(list):
-    """The custom messages of a board in a configuration.
+    """The custom messages of a board in a configuration, and its `settings`.
 
     Args:
         parameters: the board's.
@@ -37,6 +38,9 @@ class Configured(list):
         self.baud = board.baud_of(parameters)
         self.rows = board.custom and parameters.get(board.custom.parameter) or {}
         super().__init__(board.custom.read(self.rows) if board.custom else ())
+        settings = board.settings and parameters.get(board.settings.parameter) or {}
+        self.settings = board.settings.read(settings) if board.settings else []
+        self.rows = {**self.rows, **settings}      # that the board announces
 
 
 def add_options(parser: argparse.ArgumentParser, board: Description) -> None:
@@ -66,21 +70,26 @@ def announced_text(board: str, config: Configured) -> bytes:
 
 
 class CustomMessagePlayer:
-    """Makes the custom messages that a board sends, one of each kind every `PERIOD` s, and the
-    chunks of its announcement: one every 0.1 s until each has been sent twice, and for at least
-    3 s; later one a second.
+    """Makes the custom messages that a board sends, one of each kind every `PERIOD` s. Also makes
+    the chunks of its announcement and the reports of its settings, in turn: one of each every 0.1 s
+    until each has been sent twice, and for at least 3 s; later one of each a second.
 
     Args:
         messages: commands among them are ignored.
         announcement: the text; None: the board announces nothing.
+        settings: that the board has.
     """
 
-    def __init__(self, messages: Iterable[CustomMessage],
-                 announcement: Optional[bytes] = None) -> None:
+    def __init__(self, messages: Iterable[CustomMessage], announcement: Optional[bytes] = None,
+                 settings: Sequence[Setting] = ()) -> None:
+        self.settings: Dict[int, Any] = {}      # their values, by number
+        self._rows = {row.setting: row for row in settings}
+        self.setting_kind = message_of(settings)
         self._kinds = [custom.kind for custom in messages if not custom.is_command]
         self._beat = Every(PERIOD, 0.0)
         self._chunks = [] if announcement is None else chunks_of(announcement, CHUNK)
         self._next = 0             # index of the next chunk
+        self._turn: List[int] = []     # numbers of the settings, that of the next report first
         self._chunk_due = 0.0
         self._often = 0            # so many more chunks are sent often
 
@@ -89,16 +98,19 @@ class CustomMessagePlayer:
         self._beat = Every(PERIOD, now)
         self._next = 0
         self._chunk_due = now
+        self.settings = {number: row.default for number, row in self._rows.items()}
+        self._turn = sorted(self._rows)
         self.announce_often(now)
 
     def announce_often(self, now: float) -> None:
         """Somebody may listen anew: send the chunks more often for a while."""
         self._chunk_due = min(self._chunk_due, now + _OFTEN)
-        self._often = max(_LEAST_OFTEN, 2 * len(self._chunks))
+        self._often = max(_LEAST_OFTEN, 2 * len(self._chunks), 2 * len(self._rows))
 
     def due(self) -> Optional[float]:
         """When the next messages are due; None: never."""
-        times = [self._beat.due] * bool(self._kinds) + [self._chunk_due] * bool(self._chunks)
+        times = [self._beat.due] * bool(self._kinds) + [self._chunk_due] * bool(
+            self._chunks or self._rows)
         return min(times, default=None)
 
     def messages(self, now: float, micros: int) -> List[Any]:
@@ -107,15 +119,31 @@ class CustomMessagePlayer:
             return []
         return [kind(*simulated_values(kind.LAYOUT, now, micros)) for kind in self._kinds]
 
-    def chunks(self, now: float) -> List[Chunk]:
-        """The chunk to send now, if there is one."""
-        if not self._chunks or now < self._chunk_due:
+    def announcements(self, now: float) -> List[Any]:
+        """The chunk and the report of a setting to send now, if there are such."""
+        if now < self._chunk_due:
             return []
-        chunk = self._chunks[self._next]
-        self._next = (self._next + 1) % len(self._chunks)
+        found: List[Any] = []
+        if self._turn:
+            found.append(self._report(self._turn[0]))
+            self._turn.append(self._turn.pop(0))
+        if self._chunks:
+            found.append(self._chunks[self._next])
+            self._next = (self._next + 1) % len(self._chunks)
         self._often = max(0, self._often - 1)
         self._chunk_due = now + (_OFTEN if self._often else _SELDOM)
-        return [chunk]
+        return found
+
+    def use(self, message: SettingMessage) -> List[SettingMessage]:
+        """Use the value of a setting, within its limits; return the board's answer."""
+        row = self._rows.get(message.number)
+        if row is None:
+            return []
+        self.settings[row.setting] = row.checked(min(max(message.value, row.minimum), row.maximum))
+        return [self._report(row.setting)]
+
+    def _report(self, number: int) -> SettingMessage:
+        return self.setting_kind(number, self.settings[number])
 
 
 def simulated_values(layout: Layout, now: float, micros: int = 0) -> Tuple:

@@ -14,6 +14,7 @@ from waiting import again_if_stalled
 (DEBUG, INFO, WARN, ERROR, SPEED, STEERING, LED, ANGLE, TICKS, IMU, VOLTAGE, HEARTBEAT,
  CALIBRATION) = range(13)
 TIME, MCU_TIME = 254, 0xFE
+SETTING, MCU_SETTING, MCU_CHUNK = 253, 0xFD, 0xFF
 FORCE, GRIPPER = 32, 48    # custom messages
 ODOM, CMD_VEL = 40, 41     # those of the example DiffDrive
 PUMP, TANK = 0x30, 0x32    # custom functions of the bus
@@ -230,7 +231,7 @@ def error(code):
 
 
 class Frames:
-    """Sensor status frames from the board, each behind its time."""
+    """Sensor status frames from the board, each behind its time, and its settings."""
 
     def __init__(self, board):
         self.board = board
@@ -239,6 +240,8 @@ class Frames:
         self._cut = False
         self.frames = []
         self.times = []      # (number, µs)
+        self.settings = []   # data
+        self.numbers = []    # of all frames
 
     def read(self):
         self._received += self.port.read(4096)
@@ -252,11 +255,14 @@ class Frames:
             size = self._received[1] + 4
             frame, self._received = self._received[:size], self._received[size:]
             found = mcu_at(frame, 0)
-            assert found and found.type in (SENSORS, MCU_TIME), frame.hex()
+            assert found and found.type in (SENSORS, MCU_TIME, MCU_SETTING, MCU_CHUNK), frame.hex()
+            self.numbers.append(found.number)
             if found.type == SENSORS:
                 self.frames.append((found.number,) + struct.unpack('<HHhhh', found.data))
-            else:
+            elif found.type == MCU_TIME:
                 self.times.append((found.number, *struct.unpack('<I', found.data)))
+            elif found.type == MCU_SETTING:
+                self.settings.append(found.data)
         return self.frames
 
     def forget_a_cut_frame(self):

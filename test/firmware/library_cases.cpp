@@ -3,6 +3,7 @@
 
 #include "library_sketch.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -387,6 +388,148 @@ CASE_FOR_A_TEST(no_announcement) {
     packets.update();
     frames.update();
   }
+}
+
+// Settings
+
+#define SETTINGS(SETTING)                                                   \
+  SETTING(1, gain, float, 0.5, 0, 10, "1/s", "a gain")                      \
+  SETTING(2, period, uint16_t, 20, 5, 60000, "ms", "a period")              \
+  SETTING(3, inverted, bool, 1, 0, 1, "", "whether it turns the other way") \
+  SETTING(4, trim, int8_t, -5, -100, 100, "", "")                           \
+  SETTING(5, position, int32_t, 0, -2147483647, 16777217, "", "")           \
+  SETTING(200, mask, uint32_t, 7, 7, 4294967295, "", "")
+SETTINGS(SETTING_VARIABLE)
+constexpr Setting settings[] = {SETTINGS(SETTING_ENTRY)};
+static const char setting_rows[] = "firmware: test 1.0\n" SETTINGS(SETTING_ROW);
+CASE_FOR_A_TEST(print_setting_rows) { fputs(setting_rows, stdout); }
+
+static std::string changes;
+static void changed(uint8_t setting) { changes += char('0' + setting); }
+
+static std::string float_bytes(float value) {
+  return std::string(reinterpret_cast<const char*>(&value), sizeof value);
+}
+
+// Packets or frames with a setting each.
+static std::string packet_of(const std::string& data) {
+  uint8_t wire[16];
+  const std::string packet = "\xfd" + data;
+  return std::string(reinterpret_cast<const char*>(wire), serial_communication::cobs_encode(
+      reinterpret_cast<const uint8_t*>(packet.data()), packet.size(), wire)) + std::string(1, '\0');
+}
+static std::string frame_of(const std::string& data, uint8_t sequence) {
+  const std::string body = "\xfd" + std::string(1, char(sequence)) + data;
+  uint8_t crc = 0;
+  for (char byte : body) crc ^= uint8_t(byte);
+  return "\x02" + std::string(1, char(body.size())) + body + char(crc) + "\x03";
+}
+
+static std::string answer(const std::string& request) {
+  sent.clear();
+  received = packet_of(request);
+  packets.update();
+  return sent;
+}
+
+CASE(a_board_answers_each_setting_with_the_value_in_use) {
+  CHECK(packets.settings(settings, changed))
+  packets.update();
+  CHECK(sent == packet_of("\x01" + float_bytes(0.5f)))       // all are reported first
+  for (int i = 0; i < 10; ++i) packets.update();
+  const auto value = [](const char* bytes, size_t size) { return std::string(bytes, size); };
+  const auto answers = [](const std::string& request, const std::string& reply) {
+    return answer(request) == packet_of(reply);
+  };
+  CHECK(answers("\x01" + float_bytes(2.5f), "\x01" + float_bytes(2.5f)) && gain == 2.5f)
+  CHECK(answers("\x01" + float_bytes(11), "\x01" + float_bytes(10)) && gain == 10)
+  CHECK(answers("\x01" + float_bytes(-INFINITY), "\x01" + float_bytes(0)) && gain == 0)
+  CHECK(changes == "111")
+  CHECK(answers("\x01" + float_bytes(NAN), "\x01" + float_bytes(0)))    // it changes nothing
+  CHECK(answers("\x01\x01", "\x01" + float_bytes(0)))                    // nor do other lengths
+  CHECK(answers("\x01", "\x01" + float_bytes(0)))
+  CHECK(answers("\x01" + float_bytes(0), "\x01" + float_bytes(0)))
+  CHECK(changes == "111")
+  CHECK(answers(value("\x02\x60\xea", 3), value("\x02\x60\xea", 3)) && period == 60000)
+  CHECK(answers(value("\x02\xff\xff", 3), value("\x02\x60\xea", 3)))
+  CHECK(answers(value("\x02\0\0", 3), value("\x02\x05\0", 3)) && period == 5)
+  CHECK(answers(value("\x03\0", 2), value("\x03\0", 2)) && !inverted)
+  CHECK(answers("\x03\x02", "\x03\x01") && inverted)
+  CHECK(answers("\x04\x80", "\x04\x9c") && trim == -100)
+  CHECK(answers(value("\x05\x01\0\0\x01", 5), value("\x05\x01\0\0\x01", 5)) && position == 16777217)
+  CHECK(answers(value("\x05\x02\0\0\x01", 5), value("\x05\x01\0\0\x01", 5)))
+  CHECK(answers("\xc8\xff\xff\xff\xff", "\xc8\xff\xff\xff\xff") && mask == 0xFFFFFFFF)
+  CHECK(answers(value("\xc8\0\0\0\0", 5), value("\xc8\x07\0\0\0", 5)))
+  CHECK(answer("\x09\x01").empty() && answer("").empty() && answer("\x01" + std::string(5, 'x')).empty())
+}
+
+CASE(settings_take_the_place_of_a_function) {
+  for (uint8_t type = 40; type < 47; ++type) CHECK(packets.on<Force>(type, take_force))
+  CHECK(packets.settings(settings))
+  CHECK(!packets.on<Force>(47, take_force))
+  packets.update();
+  CHECK(sent.find("too many") != std::string::npos)
+}
+
+CASE(a_setting_among_anything_reaches_a_sensor_board) {
+  frames.settings(settings, changed);
+  for (int i = 0; i < 10; ++i) frames.update();
+  uint32_t random = 1;
+  uint8_t number = 6;                                        // of the board's next frame
+  for (int round = 1; round < 20000; ++round) {
+    random = random * 1664525 + 1013904223;
+    const float wanted = float(round % 1000) / 100;
+    const std::string frame = frame_of("\x01" + float_bytes(wanted), uint8_t(random >> 24));
+    // A beginning of it, and noise like it.
+    received = frame.substr(0, (random >> 8) % 11) + std::string(random >> 12 & 3, "\x02\x07\xfd\x03"[random >> 16 & 3]);
+    received += frame;
+    gain = -1;
+    sent.clear();
+    while (!received.empty()) frames.update();
+    frames.update();
+    CHECK(gain == wanted && sent == frame_of("\x01" + float_bytes(wanted), number++))
+  }
+  sent.clear();
+  received = frame_of("\x01" + float_bytes(1), 0);
+  received[6] = char(received[6] ^ 1);
+  received += frame_of("\x09\x01", 1) + frame_of("\x01" + std::string(5, 'x'), 2) + frame_of("", 3);
+  for (int i = 0; i < 10; ++i) frames.update();
+  CHECK(sent.empty())
+}
+
+CASE_FOR_A_TEST(settings_beside_the_packets_of_the_car) {
+  PacketLink bridge(uart);
+  bridge.announce(setting_rows);
+  bridge.settings(settings);
+  while (now_ms < 9000) {
+    if (now_ms % 50 == 0) received = packet_of("\x02" + std::string("\x10\0", 2));
+    bridge.update();
+    if (now_ms % 10 == 0) {
+      for (int i = 0; i < 8; ++i) bridge.send_ticks(0);
+      bridge.send_voltage(12);
+    }
+    uart.pass();
+  }
+}
+
+template <typename Link> void settings_alone() {
+  Link bridge(uart);
+  bridge.settings(settings);
+  for (; now_ms < 20000; uart.pass()) bridge.update();
+}
+CASE_FOR_A_TEST(settings_alone_in_packets) { settings_alone<PacketLink>(); }
+CASE_FOR_A_TEST(settings_alone_in_frames) { settings_alone<FrameLink>(); }
+
+CASE_FOR_A_TEST(settings_through_a_full_port) {
+  PacketLink bridge(uart);
+  bridge.settings(settings);
+  bridge.update();                                 // the port is empty once
+  for (; now_ms < 3000; uart.pass()) {
+    uart.waiting = now_ms % 200 < 150 ? 60 : 50;    // room for a setting in 50 of 200 ms
+    if (now_ms % 200 == 0) received = packet_of("\x04\x07") + packet_of("\x02" + std::string("\x10\0", 2));
+    bridge.update();
+  }
+  CHECK(uart.waits == 0)
 }
 
 int main(int count, char** arguments) {

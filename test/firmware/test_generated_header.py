@@ -81,6 +81,29 @@ def test_a_command_with_a_text_takes_up_to_the_characters_of_its_struct(tmp_path
         cobs_encode(b'\x02command 50 has 17 bytes, its struct 16\0') + b'\0')
 
 
+@pytest.mark.parametrize('chip', sorted(CHIPS))
+def test_a_sketch_has_the_settings_of_a_configuration(tmp_path, chip):
+    (tmp_path / 'robot.yaml').write_text('''
+        arduino: {settings: {
+            kp: {setting: 1, layout: "<f", minimum: 0, maximum: 10, description: "a \\"gain\\"?"},
+            period: {setting: 2, layout: "<I", minimum: 5}, inverted: {setting: 3, layout: "<?"}}}
+        settings: {arduino: {period: 20}}''')
+    make_header(tmp_path, 'robot', tmp_path / 'robot.yaml')
+    (tmp_path / 'sketch.cpp').write_text('''
+        #include <PacketLink.h>
+        #include "robot.h"
+        SETTINGS(SETTING_VARIABLE)
+        constexpr Setting kSettings[] PROGMEM = {SETTINGS(SETTING_ENTRY)};
+        PacketLink bridge(Serial);
+        void setup() {
+          bridge.announce(kAnnouncement);
+          bridge.settings(kSettings);
+          kp = period * 0.5f;
+        }
+        void loop() { bridge.update(); }''')
+    check(CHIPS[chip], tmp_path / 'sketch.cpp', '-I', str(tmp_path))
+
+
 def test_a_double_in_a_layout_does_not_compile_for_the_avr_and_says_why(tmp_path):
     make_header_of_row(tmp_path, 'wide', 'type: 40, ros_type: std_msgs/Float64, layout: "<d"')
     wide = '-include', str(tmp_path / 'wide.h')

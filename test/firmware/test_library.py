@@ -73,7 +73,8 @@ def size_in_the_ide(sketch, firmware_build, tmp_path):
 def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
     flash, ram = size_in_the_ide(read(path), firmware_build, tmp_path)
     print('%s: %d bytes of flash, %d of RAM' % (name_of(path), flash, ram))
-    assert flash < (8000 if name_of(path) != 'DiffDrive.ino' else 12000) and ram < 700
+    most = {'DiffDrive.ino': 13000, 'Tuning.ino': 10500}.get(name_of(path), 8000)
+    assert flash < most and ram < 700
 
 
 @pytest.mark.parametrize('example, at_least', [
@@ -99,6 +100,20 @@ def test_a_sketch_without_board_time_has_no_code_for_it(example, firmware_build,
         sketch, '#define NO_BOARD_TIME\n' + sketch, silent))
     print('%s: %d bytes for the time' % (example, flash - none))
     assert none <= switched_off < flash - 20     # micros() itself stays
+
+
+def test_a_sketch_without_settings_has_no_code_for_them(firmware_build, tmp_path):
+    path = LIBRARY + '/examples/%s.ino'
+    sketch, silent = read(path % 'Tuning/Tuning'), re.sub(
+        r'.*bridge\.settings\(kSettings\);\n', '', read(path % 'Tuning/Tuning'))
+    (flash, ram), (silent_flash, silent_ram) = (
+        size_in_the_ide(each, firmware_build, tmp_path) for each in (sketch, silent))
+    print('Tuning: %d bytes of flash and %d of RAM for settings' % (
+        flash - silent_flash, ram - silent_ram))
+    assert flash - silent_flash > 600
+    names = subprocess.run(['avr-nm', '-C', str(tmp_path / 'sketch.elf')], check=True,
+                           stdout=subprocess.PIPE, universal_newlines=True).stdout
+    assert 'loop' in names and not re.search('(?i)setting', names), names
 
 
 COMPILERS = {'ESP32': ON_THE_ESP, **{
@@ -227,6 +242,15 @@ WRONG = {
                              'at most 2048 bytes'),
     'announcement whose size is lost': ('const char* text = "a"; frames.announce(text);',
                                         'no matching function'),
+    'setting of another type': ('static uint16_t x; static const Setting table[] = {'
+                                'SETTING_ENTRY(1, x, float, 0, 0, 1, "", "")};', 'cannot convert'),
+    'setting of an unknown type': ('static double x; static const Setting table[] = {'
+                                   'SETTING_ENTRY(1, x, double, 0, 0, 1, "", "")};',
+                                   'incomplete type'),
+    'too many settings': ('static Setting table[17] = {}; packets.settings(table);',
+                          'at most 16 settings'),
+    'settings whose number is lost': ('const Setting* table = 0; frames.settings(table);',
+                                      'no matching function'),
     'unpacked request': ('bus.on<Wide>(40, ask_wide);', 'has to be PACKED'),
 }
 

@@ -22,6 +22,7 @@ sys.path[:0] = [str(Path(__file__).resolve().parents[1] / 'ros'), str(Path(__fil
 import panel_helpers  # noqa: E402
 import square_picture  # noqa: E402
 import stamps_picture  # noqa: E402
+import tuning_picture  # noqa: E402
 from boards import Bridge, Line, program  # noqa: E402
 from panel_browser import Browser  # noqa: E402
 
@@ -195,6 +196,7 @@ def main():
         try:
             (out / 'diff_drive_square.svg').write_text(
                 square_picture.picture(*square_picture.measure()))
+            tuning_picture.make(out)
             take_stamps(browser, Path(folder), out)
             take_intact(browser, out)
             take_faulty(browser, Path(folder), out)

@@ -111,6 +111,51 @@ def test_a_struct_with_a_time_has_a_function_that_fills_it(tmp_path, order):
     assert "time;  // microseconds of the board's clock" in made(path)
 
 
+SETTINGS = {
+    'kp': {'setting': 1, 'layout': '<f', 'minimum': 0.00001, 'maximum': 10, 'unit': '1/s',
+           'description': 'a "gain"\\?'},
+    'PI': {'setting': 2, 'layout': '<b'},
+    'inverted': {'setting': 3, 'layout': '<?'},
+    'least': {'setting': 200, 'layout': '<i', 'maximum': -5}}
+
+
+def test_a_list_has_the_settings_with_their_limits_and_what_the_file_wants(tmp_path):
+    path = tmp_path / 'robot.yaml'
+    path.write_text(yaml.safe_dump({'arduino': {'settings': SETTINGS}, 'settings': {
+        'arduino': {'kp': 2.2, 'inverted': True}}}))
+    lines = output(tmp_path, made(path), '''
+        #define SETTING_VARIABLE(number, variable, type, initial, ...) type variable = initial;
+        #define SETTING_LINE(number, variable, type, initial, minimum, maximum, unit, what) \\
+            printf("%d_%s_%s_%g_%g_%g_%s_", number, #variable, #type, double(variable), \\
+                   double(minimum), double(maximum), unit); show(what);
+        SETTINGS(SETTING_VARIABLE)
+        SETTINGS(SETTING_LINE)''')
+    assert lines == [
+        '2_PI_setting_int8_t_0_-128_127__00', '3_inverted_bool_1_0_1__00',
+        '1_kp_float_2.2_1e-05_10_1/s_' + b'a "gain"\\?\0'.hex(),
+        '200_least_int32_t_-5_-2.14748e+09_-5__00']
+
+
+@pytest.mark.parametrize('wanted, why', [
+    ({'kp': 22}, 'settings/arduino/kp is 22, may be a number from 1e-05 to 10 1/s'),
+    ({'inverted': 3}, 'settings/arduino/inverted is 3, may be true or false')])
+def test_a_value_that_a_setting_may_not_have_is_refused(tmp_path, wanted, why):
+    path = tmp_path / 'robot.yaml'
+    path.write_text(yaml.safe_dump({'arduino': {'settings': SETTINGS},
+                                    'settings': {'arduino': wanted}}))
+    done = run(str(path))
+    assert (done.returncode, done.stdout, done.stderr) == (1, '', f'header: {path}: {why}\n')
+
+
+def test_a_message_and_a_setting_of_one_name_are_refused(tmp_path):
+    path = tmp_path / 'robot.yaml'
+    path.write_text(yaml.safe_dump({'mcu': {
+        'messages': {'kp': {'type': 40, 'ros_type': 'std_msgs/Float32', 'layout': '<f',
+                            'fields': ['data']}}, 'settings': SETTINGS}}))
+    done = run(str(path))
+    assert done.returncode == 1 and 'has two rows kp' in done.stderr
+
+
 def test_names_of_the_time_give_way_to_fields(tmp_path):
     path = configuration(tmp_path, {'field': {
         'type': 50, 'ros_type': 'a/B', 'layout': '<IBB',

@@ -17,6 +17,7 @@
 #include "announcer.h"
 #include "arduino_packets.h"
 #include "heartbeat_watch.h"
+#include "settings.h"
 #include "stream_sink.h"
 #if defined(__AVR__)
 #include <util/atomic.h>
@@ -38,12 +39,12 @@ class PacketLink : public PacketSender<StreamSink> {
   // reports messages that have another size, at most one a type and second.
   template <class T>
   bool on(uint8_t type, void (*handle)(const T&)) {
-    return add(decoder_.accept<T>(type), &call<T>, reinterpret_cast<void (*)()>(handle));
+    return add(decoder_.accept<T>(type), &call<T>, reinterpret_cast<Function>(handle));
   }
 
   // Likewise with data of any length.
   bool on(uint8_t type, void (*handle)(const uint8_t* data, size_t size)) {
-    return add(decoder_.accept(type, 0, kMaxPacket - 1), &call_with_bytes, reinterpret_cast<void (*)()>(handle));
+    return add(decoder_.accept(type, 0, kMaxPacket - 1), &call_with_bytes, reinterpret_cast<Function>(handle));
   }
 
   // The built-in commands. Speed: -1000 … 1000. Steering: microseconds of the servo's
@@ -57,7 +58,24 @@ class PacketLink : public PacketSender<StreamSink> {
   template <size_t Size>
   void announce(const char (&text)[Size]) {
     announcer_.begin(text);
-    send_chunk_ = &send_chunk;
+    if (!send_regularly_) send_regularly_ = &send_chunk;
+  }
+
+  // Lets the bridge change and show settings, in update(): see settings.h. `table` is an array in program memory.
+  // `changed` is called with the number of one that has another value. They take the place of one function of on();
+  // false where that is missing.
+  template <size_t Count>
+  bool settings(const Setting (&table)[Count], void (*changed)(uint8_t number) = 0) {
+    settings_.begin(table, changed);
+    send_regularly_ = &send_chunk_and_setting;
+    if (!decoder_.accept_settings()) {
+      refused_type_ = true;
+      return false;
+    }
+    Handler& handler = handlers_[handler_count_++];
+    handler.call = &take_setting;
+    handler.target.settings = &settings_;
+    return true;
   }
 
   // Calls the functions for what was received: at most 64 bytes a call, and nothing here waits for room to send. So
@@ -70,7 +88,7 @@ class PacketLink : public PacketSender<StreamSink> {
       if (left == 0 || port_.available() <= 0) break;
       if (decoder_.feed(read(), now)) dispatch(decoder_.packet());
     }
-    if (send_chunk_) send_chunk_(*this, now);
+    if (send_regularly_) send_regularly_(*this, now);
   }
 
   // A line in the bridge's log.
@@ -94,26 +112,34 @@ class PacketLink : public PacketSender<StreamSink> {
 
  private:
   typedef Announcer<16, 3> Chunks;  // on the wire 23 bytes, so that 40 more fit into the send buffer of an AVR
-  typedef void (*Call)(void (*handle)(), const uint8_t* data, size_t size);
-  static const uint8_t kMaxWarning = 60;  // bytes on the wire
+  typedef void (*Function)();
+  union Target {
+    Function function;
+    SettingsTable* settings;
+  };
+  typedef void (*Call)(Target target, const uint8_t* data, size_t size);
+  static const uint8_t kMaxWarning = 60;     // bytes on the wire
+  static const uint8_t kSettingFraming = 3;  // type, COBS, 0x00
 
   struct Handler {
     Call call;
-    void (*handle)();
+    Target target;
   };
 
   template <class T>
-  static void call(void (*handle)(), const uint8_t* data, size_t size) {
-    reinterpret_cast<void (*)(const T&)>(handle)(from_received<T>(data, size));
+  static void call(Target target, const uint8_t* data, size_t size) {
+    reinterpret_cast<void (*)(const T&)>(target.function)(from_received<T>(data, size));
   }
 
-  static void call_with_bytes(void (*handle)(), const uint8_t* data, size_t size) {
-    reinterpret_cast<void (*)(const uint8_t*, size_t)>(handle)(data, size);
+  static void call_with_bytes(Target target, const uint8_t* data, size_t size) {
+    reinterpret_cast<void (*)(const uint8_t*, size_t)>(target.function)(data, size);
   }
 
-  bool add(bool accepted, Call caller, void (*handle)()) {
+  static void take_setting(Target target, const uint8_t* data, size_t size) { target.settings->take(data, size); }
+
+  bool add(bool accepted, Call caller, Function handle) {
     if (accepted) {
-      handlers_[handler_count_++] = {caller, handle};
+      handlers_[handler_count_++] = {caller, {handle}};
     } else {
       refused_type_ = true;
     }
@@ -121,10 +147,22 @@ class PacketLink : public PacketSender<StreamSink> {
     return accepted;
   }
 
-  static void send_chunk(PacketLink& link, uint32_t now) {
+  // Returns whether one was due, also where nothing is announced.
+  static bool send_chunk(PacketLink& link, uint32_t now) {
+    if (!link.announcer_.is_due(link.buffer_, now)) return false;
     uint8_t chunk[Chunks::kMaxChunk];
-    const uint8_t size = link.announcer_.next(link.buffer_, now, chunk);
+    const uint8_t size = link.announcer_.next(chunk);
     if (size > 0) link.send(MessageType::Announcement, chunk, size);
+    return true;
+  }
+
+  static bool send_chunk_and_setting(PacketLink& link, uint32_t now) {
+    const bool due = send_chunk(link, now);
+    if (due) link.settings_.report_one();
+    uint8_t setting[SettingsTable::kMaxData];
+    const uint8_t size = link.settings_.next(link.buffer_, kSettingFraming, setting);
+    if (size > 0) link.send(MessageType::Setting, setting, size);
+    return due;
   }
 
   static void report(PacketLink& link, uint32_t now) {
@@ -182,7 +220,7 @@ class PacketLink : public PacketSender<StreamSink> {
   void dispatch(const Packet& packet) {
     if (packet.custom < handler_count_) {
       const Handler& handler = handlers_[packet.custom];
-      handler.call(handler.handle, packet.data, packet.size);
+      handler.call(handler.target, packet.data, packet.size);
     } else if (packet.type == MessageType::Heartbeat) {
       handle_heartbeat();
     } else if (packet.type == MessageType::SpeedCmd && speed_) {
@@ -224,8 +262,9 @@ class PacketLink : public PacketSender<StreamSink> {
   Stream& port_;
   SendBuffer buffer_;
   Chunks announcer_;
-  // So that only a sketch that announces, or takes custom messages, has the code.
-  void (*send_chunk_)(PacketLink&, uint32_t now) = 0;
+  SettingsTable settings_;
+  // So that only a sketch that announces, has settings, or takes custom messages, has the code.
+  bool (*send_regularly_)(PacketLink&, uint32_t now) = 0;
   void (*report_)(PacketLink&, uint32_t now) = 0;
   uint16_t wrong_lengths_ = 0;  // that have been reported
   uint8_t warned_second_ = 0;

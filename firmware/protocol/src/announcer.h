@@ -62,18 +62,23 @@ class Announcer {
     return announcer.get(index, chunk);
   }
 
-  // Likewise the chunk that is to be sent now; 0: none. There is one every 100 ms until each has gone twice and for at
-  // least 3 s, later one a second. It is sent only while the send buffer is empty, so that nothing else has to wait for
-  // it. (Where that is never empty, the chunk leaves as soon as it has room, a second late.)
-  uint8_t next(SendBuffer& buffer, uint32_t now_ms, uint8_t* chunk) {
+  // Whether a chunk is to be sent now. There is one every 100 ms until each has gone twice and for at least 3 s, later
+  // one a second. It is sent only while the send buffer is empty, so that nothing else has to wait for it. (Where that
+  // is never empty, the chunk leaves as soon as it has room, a second late.)
+  bool is_due(SendBuffer& buffer, uint32_t now_ms) {
     const uint16_t waited = static_cast<uint16_t>(now_ms) - sent_ms_;
     const uint16_t period = often_ > 0 ? 100 : 1000;
-    if (size_ == 0 || waited < period) return 0;
-    if (!buffer.is_empty() && (waited < period + 1000 || !buffer.has_room(kMaxChunk + Framing))) return 0;
+    if (waited < period) return false;
+    if (!buffer.is_empty() && (waited < period + 1000 || !buffer.has_room(kMaxChunk + Framing))) return false;
     sent_ms_ = static_cast<uint16_t>(now_ms);
     if (often_ > 0) --often_;
+    return true;
+  }
+
+  // Likewise that chunk; 0: nothing is announced.
+  uint8_t next(uint8_t* chunk) {
     const uint8_t size = get(index_, chunk);
-    if (++index_ == chunk[1]) index_ = 0;
+    if (size > 0 && ++index_ == chunk[1]) index_ = 0;
     return size;
   }
 

@@ -31,6 +31,7 @@ enum class MessageType : uint8_t {
   Voltage = 10,         // from the board: float32, V, averaged over 3 s
   Heartbeat = 11,       // to the board: no data
   ImuCalibration = 12,  // to the board: no data
+  Setting = 253,        // both ways: uint8, number, and its value
   Time = 254,           // from the board: uint32, microseconds, and uint8: of how many packets that follow
   Announcement = 255,   // from the board: a chunk of its rows' text
 };
@@ -234,6 +235,13 @@ class PacketDecoder {
   bool accept(uint8_t type, uint8_t least, uint8_t most) {
     if (custom_count_ == MaxCustom || !is_custom_type(type) || find_custom(type) != kNone) return false;
     custom_[custom_count_++] = {type, least, most};
+    return true;
+  }
+
+  // Takes settings, as if they were custom messages.
+  bool accept_settings() {
+    if (custom_count_ == MaxCustom) return false;
+    custom_[custom_count_++] = {static_cast<uint8_t>(MessageType::Setting), 1, 5};
     return true;
   }
 

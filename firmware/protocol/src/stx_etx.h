@@ -1,4 +1,5 @@
-// The sender of the status frames of the sensor boards (two VL53L0X and a BNO055, or six ADC channels).
+// The sender of the status frames of the sensor boards (two VL53L0X and a BNO055, or six ADC channels), and the
+// receiver of settings, the only frames to a board.
 //
 //   | 0x02 STX | LEN | TYPE | SEQ | PAYLOAD … | CRC | 0x03 ETX |
 //
@@ -112,6 +113,49 @@ class StxEtxSender {
 
   Sink sink_;
   uint8_t sequence_ = 0;
+};
+
+// Finds the frames that carry a setting; drops all else. A frame that begins inside what looked like one is found.
+class SettingReceiver {
+ public:
+  // Comes before all else. (Initial values would be code in every sketch.)
+  void begin() {
+    size_ = 0;
+    whole_ = false;
+  }
+
+  // Returns the payload, valid until the next call, when this byte completed a frame; else null.
+  const uint8_t* feed(uint8_t byte, uint8_t* size) {
+    if (whole_) drop(static_cast<uint8_t>(frame_[1] + 4));
+    whole_ = false;
+    frame_[size_++] = byte;
+    while (size_ > 0 && !may_be_one()) drop(1);
+    if (!whole_) return 0;
+    *size = static_cast<uint8_t>(frame_[1] - 2);
+    return frame_ + 4;
+  }
+
+ private:
+  static const uint8_t kLeast = 2 + 1, kMost = 2 + 5;  // LEN: of the number alone, and with a value
+
+  // Whether the bytes are a frame, or the beginning of one.
+  bool may_be_one() {
+    if (frame_[0] != kStx) return false;
+    if (size_ > 1 && (frame_[1] < kLeast || frame_[1] > kMost)) return false;
+    if (size_ > 2 && frame_[2] != kTypeSetting) return false;
+    if (size_ < 2 || size_ < frame_[1] + 4) return true;
+    whole_ = frame_[3 + frame_[1]] == kEtx && frame_[2 + frame_[1]] == stx_etx_crc(frame_ + 2, frame_[1]);
+    return whole_;
+  }
+
+  void drop(uint8_t count) {
+    size_ = static_cast<uint8_t>(size_ - count);
+    memmove(frame_, frame_ + count, size_);
+  }
+
+  uint8_t frame_[kMost + 4];
+  uint8_t size_;
+  bool whole_;
 };
 
 }  // namespace serial_communication

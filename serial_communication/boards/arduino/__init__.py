@@ -3,6 +3,7 @@ from typing import Any, List, Mapping
 
 from ...framing.custom_messages import (FROM_BOARD, RESERVED, TO_BOARD, CustomMessage,
                                         read_messages)
+from ...framing.settings import Setting, message_of, read_settings
 from ...framing.stream import Decoder
 from ..description import CustomRows, Description, Heartbeat, Service, Topic
 from . import wire
@@ -14,9 +15,15 @@ def custom_messages(entries: Any, key: str = 'arduino/messages') -> List[CustomM
     return read_messages(entries, key, free, wire.MAX_PACKET - 1, (FROM_BOARD, TO_BOARD))
 
 
+def settings(entries: Any, key: str = 'arduino/settings') -> List[Setting]:
+    """The settings in the parameter `key`; RowError for the first mistake in them."""
+    return read_settings(entries, key)
+
+
 def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
     kinds = [each.kind for each in custom_messages(parameters.get('messages') or {})
              if each.is_command == sent]
+    kinds.append(message_of(settings(parameters.get('settings') or {})))
     return wire.BoardDecoder(messages=kinds) if sent else wire.Decoder(messages=kinds)
 
 
@@ -38,6 +45,7 @@ DESCRIPTION = Description(
             'The car stops, and its board starts anew.'))),
     other_names=('~speed', '~steering', '~led'),
     custom=CustomRows('messages', custom_messages, '~'),
+    settings=CustomRows('settings', settings, '~settings/arduino/'),
     heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),
     between=b'\0',
     first_after_loss=b'\0' + wire.encode(wire.SpeedCommand(0)),

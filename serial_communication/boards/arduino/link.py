@@ -3,6 +3,7 @@ from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple, T
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
+from ...framing.settings import SettingMessage
 from ...framing.stream import Frame
 from ...link.link import OK, WARN, Link, Refused, Report
 from ...transport.pace import Allowance, clock
@@ -154,6 +155,8 @@ class ArduinoLink(Link):
             self._log_received(message, now)
         elif isinstance(message, Chunk):
             self.announcement.add(message)
+        elif isinstance(message, SettingMessage):
+            self.board_settings.received(message, self.announcement.is_current)
         elif not isinstance(message, wire.Time):
             if self.output.calibration and isinstance(message, wire.Imu):
                 self._end_calibration(self.output.calibration.imu_data(clock()))
@@ -165,12 +168,14 @@ class ArduinoLink(Link):
         if self.calibrating:
             return None     # the board may be silent
         self._check_pty(now)
+        due = self.board_settings.send(now, self.output.command, self.announcement.is_current)
         try:
-            return self.check_silence(now, self.settings.network_silence)
+            silent_at = self.check_silence(now, self.settings.network_silence)
         except PortError:
             # Behind the commands that wait in the network, which cannot be dropped.
             self.output.send_speed_0()
             raise
+        return min((at for at in (due, silent_at) if at is not None), default=None)
 
     def _check_pty(self, now: float) -> None:
         """Hold commands back from a pseudo terminal while a board that has talked is silent.

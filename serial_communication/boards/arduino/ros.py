@@ -20,7 +20,7 @@ from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
-from . import DESCRIPTION, wire
+from . import DESCRIPTION, settings, wire
 from .link import ArduinoLink, ArduinoSettings
 
 _DEFAULTS = ArduinoSettings()
@@ -44,6 +44,7 @@ class ArduinoInterface(Interface):
         'calibration_timeout': seconds(_DEFAULTS.calibration_timeout, 1.0, 86400.0),
         'check_plausibility': Parameter(_DEFAULTS.check_plausibility),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
+        'settings': Parameter({}, parse=settings),
         'announcements': Parameter(True),
         'board_time': Parameter(True),
         'gyro_scale': Parameter(wire.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
@@ -76,6 +77,8 @@ class ArduinoInterface(Interface):
             messages=self._topics.custom_kinds, on_message=self._received, on_log=self._log,
             on_calibrating=lambda on: self._calibrating.publish(on), board_time=p['board_time'],
             **link_options._asdict())
+        for row in p['settings']:
+            self.link.board_settings.add(row)
         if p['announcements']:
             self.announced = self._topics.announced(self.link, self._command_age)
 

@@ -25,6 +25,7 @@ from typing import Any, Deque, Optional, Sequence
 from ...framing.custom_messages import CustomMessage
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
+from ...framing.settings import Setting, SettingMessage
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
 from ...simulation.custom_messages import CustomMessagePlayer
@@ -59,6 +60,7 @@ class ModelCar(Board):
         custom: custom messages: those from the board are sent, those to it are shown.
         lose_stops: the line loses the first SPEED 0 of each stop, as noise may do.
         announcement: the text to announce; None: nothing.
+        settings: that the board has.
     """
 
     decoder: wire.BoardDecoder
@@ -84,14 +86,14 @@ class ModelCar(Board):
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ModelCar':
         return cls(options.calibration_time, options.seed, options.config,
-                   options.lose_stops, options.announcement)
+                   options.lose_stops, options.announcement, options.config.settings)
 
     def __init__(self, calibration_time: float = 10.0, seed: int = 0,
                  custom: Sequence[CustomMessage] = (), lose_stops: bool = False,
-                 announcement: Optional[bytes] = None) -> None:
-        super().__init__(wire.BoardDecoder(
-            messages=[message.kind for message in custom if message.is_command]))
-        self._custom = CustomMessagePlayer(custom, announcement)
+                 announcement: Optional[bytes] = None, settings: Sequence[Setting] = ()) -> None:
+        self._custom = CustomMessagePlayer(custom, announcement, settings)
+        super().__init__(wire.BoardDecoder(messages=[
+            self._custom.setting_kind, *(each.kind for each in custom if each.is_command)]))
         self.motor_on = False
         self.command = 0           # the SPEED at which the motor runs; 0 if it is off
         self.velocity = 0.0        # m/s
@@ -172,6 +174,10 @@ class ModelCar(Board):
             self._set_led(message.text)
         elif isinstance(message, wire.ImuCalibration):
             self._calibrate(now)
+        elif isinstance(message, SettingMessage):
+            for answer in self._custom.use(message):
+                self.say(str(answer))
+                self._send(answer)
         elif isinstance(message, LayoutMessage):      # a custom message
             self.say(str(message))
 
@@ -184,8 +190,8 @@ class ModelCar(Board):
         if self._second.passed(now):
             self._send_measured(wire.Voltage(sum(self._volts) / len(self._volts)))
         self._send_measured(*self._custom.messages(now, self.line.micros()))
-        for chunk in self._custom.chunks(now):
-            self._send(chunk)
+        for message in self._custom.announcements(now):
+            self._send(message)
         due = min(self._pace.due, self._custom.due() or math.inf)
         if self.motor_on:
             due = min(due, self._heartbeat + HEARTBEAT_TIMEOUT)

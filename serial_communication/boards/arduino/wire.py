@@ -17,6 +17,7 @@ from ...framing import announcement, cobs
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type, message_class,
                                readable)
 from ...framing.parts import Part, Parts
+from ...framing.settings import SettingMessage
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
                                invalid_frame)
 
@@ -207,9 +208,9 @@ Time = message_class(
 FROM_BOARD = (SteeringAngle, Ticks, Imu, Voltage)
 TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration)
 # A custom message has none of these types.
-BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, Log, Time, announcement.Chunk)
-_SETTING = 253           # reserved
-_UNTIMED = (*Log.TYPES, _SETTING, announcement.TYPE)    # TIME does not count these packets
+BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, Log, Time, SettingMessage, announcement.Chunk)
+# TIME does not count packets of these types.
+_UNTIMED = (*Log.TYPES, SettingMessage.TYPE, announcement.TYPE)
 
 
 def encode(message: Any) -> bytes:
@@ -337,7 +338,7 @@ class _Decoder:
             message = kind.unpack(data) if kind is not Log else Log.unpack(type_, data)
         except struct.error:
             return self._bad(raw, LENGTH, f'{kind.LABEL} packet with {len(data)} bytes of data '
-                             f'where {kind.LAYOUT.sizes()} is right', stamp, type_, data)
+                             f'where {kind.layout_of(data).sizes()} is right', stamp, type_, data)
         reason = type_ not in self._unchecked and message.implausible()
         if reason:
             return self._bad(raw, IMPLAUSIBLE, f'{kind.LABEL}: {reason}', stamp, type_, data)
@@ -354,7 +355,7 @@ class _Decoder:
     def _bad(self, raw: bytes, cause: str, error: str, stamp: Any, type_: int = 0,
              data: bytes = b'') -> Frame:
         self.errors[cause] += cause != UNKNOWN or self.counts_unknown
-        if type_ != _SETTING:
+        if type_ != SettingMessage.TYPE:
             self._timed = 0      # the packet may have been one of those that TIME counts
         return invalid_frame(raw, cause, error, stamp, type_, data)
 
@@ -399,10 +400,10 @@ class _Decoder:
 class Decoder(_Decoder):
     """Decodes what the board sends."""
 
-    _messages = by_type(*FROM_BOARD, Log, Time, announcement.Chunk)
+    _messages = by_type(*FROM_BOARD, Log, Time, SettingMessage, announcement.Chunk)
 
 
 class BoardDecoder(_Decoder):
     """Decodes what is sent to the board; for simulated boards and for displays."""
 
-    _messages = by_type(*TO_BOARD)
+    _messages = by_type(*TO_BOARD, SettingMessage)

@@ -2,6 +2,7 @@
 from typing import Any, List, Mapping
 
 from ...framing.custom_messages import RESERVED, CustomMessage, read_messages
+from ...framing.settings import Setting, message_of, read_settings
 from ...framing.stream import Decoder
 from ..description import CustomRows, Description, Numbering, Service, Topic
 from . import wire
@@ -15,9 +16,15 @@ def custom_messages(entries: Any, key: str = 'mcu/messages') -> List[CustomMessa
     return read_messages(entries, key, free, wire.MAX_PAYLOAD)
 
 
+def settings(entries: Any, key: str = 'mcu/settings') -> List[Setting]:
+    """The settings in the parameter `key`; RowError for the first mistake in them."""
+    return read_settings(entries, key)
+
+
 def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Decoder:
-    # The board reads nothing, so there is no other format for what is sent to it.
-    return wire.Decoder([each.kind for each in custom_messages(parameters.get('messages') or {})])
+    # The board reads settings alone, and these have one format in both directions.
+    return wire.Decoder([*(each.kind for each in custom_messages(parameters.get('messages') or {})),
+                         message_of(settings(parameters.get('settings') or {}))])
 
 
 DESCRIPTION = Description(
@@ -32,4 +39,5 @@ DESCRIPTION = Description(
     services=(Service('~mcu/reset', 'std_srvs/Trigger', 'reset the board', confirm=(
         'The board starts anew; its measurements are missing until then.')),),
     custom=CustomRows('messages', custom_messages, 'mcu/'),
+    settings=CustomRows('settings', settings, '~settings/mcu/'),
     numbering=Numbering.SEQUENCE)

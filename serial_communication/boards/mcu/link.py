@@ -4,12 +4,14 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tu
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
+from ...framing.settings import SettingMessage
 from ...framing.stream import CHECKSUM, Frame
-from ...link.link import OK, WARN, Link
-from ...transport.port import Port
+from ...link.link import OK, WARN, Link, Refused
+from ...transport.port import Port, PortBusy
 from . import wire
 
 _STATUS_PERIOD = 1.0   # s between two reports of silence
+_MOST_BACKLOG = 0.05   # s of wire time that may wait in the kernel; more: the port is blocked
 _DOUBLED = 0.01        # s; the same bytes again within this are one frame, doubled on the line
 
 
@@ -23,7 +25,7 @@ class _Latest(NamedTuple):
 
 
 class McuLink(Link):
-    """Receives frames and sends nothing.
+    """Receives frames, and sends settings alone.
 
     Args:
         timeout: s without a valid frame after which the board counts as silent.
@@ -53,6 +55,7 @@ class McuLink(Link):
         self._on_silence = on_silence
         self._last: Optional[Frame] = None      # since the port opened
         self._last_at = 0.0                     # when it was received
+        self._seq = 0                           # of the next frame to the board
         now = time.monotonic()
         # By TYPE; by None until the board has sent a message.
         self._latest: Dict[Optional[int], _Latest] = {None: _Latest(None, 0, now, now + timeout)}
@@ -70,6 +73,8 @@ class McuLink(Link):
         self._last, self._last_at = frame, now
         if isinstance(message, Chunk):
             self.announcement.add(message)
+        elif isinstance(message, SettingMessage):
+            self.board_settings.received(message, self.announcement.is_current)
         # None: a valid frame of an unknown type
         elif message is not None and not isinstance(message, wire.Time):
             if self.silent:
@@ -87,8 +92,20 @@ class McuLink(Link):
 
     def tick(self, now: float) -> float:
         due = self.idle(now)
-        next_check = self.check_silence(now, self._network_silence)
-        return due if next_check is None else min(due, next_check)
+        others = (self.board_settings.send(now, self._send, self.announcement.is_current),
+                  self.check_silence(now, self._network_silence))
+        return min([due, *(other for other in others if other is not None)])
+
+    def _send(self, message: SettingMessage) -> None:
+        if self.port.backlog() > _MOST_BACKLOG:
+            raise Refused('the port takes no data', 'busy')
+        data = message.pack()
+        try:
+            self.send(wire.encode_raw(message.TYPE, self._seq, data), message.TYPE, self._seq, data,
+                      message)
+        except PortBusy as busy:
+            raise Refused(str(busy), 'busy') from None
+        self._seq = (self._seq + 1) % 256
 
     def idle(self, now: float) -> float:
         for type_, (kind, seq, received_at, silent_at) in self._latest.items():

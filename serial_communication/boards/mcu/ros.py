@@ -17,7 +17,7 @@ from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
-from . import DESCRIPTION, wire
+from . import DESCRIPTION, settings, wire
 from .link import McuLink
 
 _NOT_CONNECTED = 0xFFFF   # in place of a reading; no sensor measures it
@@ -36,6 +36,7 @@ class McuInterface(Interface):
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
         'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
+        'settings': Parameter({}, parse=settings),
         'announcements': Parameter(True),
         'board_time': Parameter(True),
         'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
@@ -70,6 +71,8 @@ class McuInterface(Interface):
                             network_silence=p['network_silence'],
                             messages=self._topics.custom_kinds, board_time=p['board_time'],
                             **link_options._asdict())
+        for row in p['settings']:
+            self.link.board_settings.add(row)
         if p['announcements']:
             self.announced = self._topics.announced(self.link)
 

@@ -1,4 +1,6 @@
-"""The simulated sensor board: two range sensors and an IMU, or six ADC channels. It only sends.
+"""The simulated sensor board: two range sensors and an IMU, or six ADC channels.
+
+It reads nothing but settings.
 
     ranges    an object moves to and fro before each sensor, up to 2.4 m away; beyond 2 m the
               sensor reads 8190, as a VL53L0X does; one reading in 200 times out (0xFFFF)
@@ -11,9 +13,11 @@ The board sends every 50 ms (20 Hz), as its source does; SEQ counts every frame 
 import argparse
 import math
 from random import Random
-from typing import Any, Iterable, Optional
+from typing import Any, Iterable, Optional, Sequence
 
 from ...framing.custom_messages import CustomMessage
+from ...framing.settings import Setting, SettingMessage
+from ...framing.stream import Frame
 from ...simulation.board import Board, positive
 from ...simulation.custom_messages import CustomMessagePlayer
 from ...transport.pace import Every
@@ -36,13 +40,15 @@ class SensorBoard(Board):
         seed: seed of the noise and the timeouts.
         custom: custom messages, sent in addition.
         announcement: the text to announce; None: nothing.
+        settings: that the board has.
     """
 
+    decoder: wire.Decoder
     NAME = DESCRIPTION.name
     SUMMARY = 'sensor board: two ranges and orientation, or six ADC channels'
     FAULTS = ('drop=0.005 cut=0.005 lose=0.005 flip=0.01 insert=0.005 double=0.005 '
               'delay=6/min late=0.5/min silence=0.5/min reset=0.5/min')
-    READS = False
+    READS = False      # but settings, which are sent again whatever is lost of them
     HAS_CLOCK = True
     CHATTER = (b'ets Jun  8 2016 00:22:57\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13 '
                b'(SPI_FAST_FLASH_BOOT)\r\nconfigsip: 0, SPIWP:0xee\r\nload:0x3fff0030,len:1184\r\n'
@@ -60,12 +66,13 @@ class SensorBoard(Board):
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'SensorBoard':
         return cls(options.rate, options.adc, options.seed, options.config,
-                   not options.no_imu, options.announcement)
+                   not options.no_imu, options.announcement, options.config.settings)
 
     def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0,
                  custom: Iterable[CustomMessage] = (), imu: bool = True,
-                 announcement: Optional[bytes] = None) -> None:
-        super().__init__()
+                 announcement: Optional[bytes] = None, settings: Sequence[Setting] = ()) -> None:
+        self._custom = CustomMessagePlayer(custom, announcement, settings)
+        super().__init__(wire.Decoder([self._custom.setting_kind]))
         self.seq = 0        # of the next frame
         self._adc = adc
         self._imu = imu
@@ -73,12 +80,12 @@ class SensorBoard(Board):
         self._random = Random(f'{seed} sensors')
         self._pace = Every(self._period, 0.0)
         self._on_since = 0.0
-        self._custom = CustomMessagePlayer(custom, announcement)
 
     # -- hooks ----------------------------------------------------------------------------
 
     def power_on(self, now: float) -> None:
         self.seq = 0
+        self.decoder.reset()
         self._on_since = now
         self._pace = Every(self._period, now)
         self._custom.power_on(now)
@@ -91,9 +98,15 @@ class SensorBoard(Board):
             if self.line.sends_time:
                 self._send(wire.Time(self.line.micros()))
             self._send(message)
-        for chunk in self._custom.chunks(now):
-            self._send(chunk)
+        for message in self._custom.announcements(now):
+            self._send(message)
         return min(self._pace.due, self._custom.due() or math.inf)
+
+    def frame(self, frame: Frame, now: float) -> None:
+        if isinstance(frame.message, SettingMessage):
+            for answer in self._custom.use(frame.message):
+                self.say(str(answer))
+                self._send(answer)
 
     def _send(self, message: Any) -> None:
         self.send(wire.encode(message, self.seq), message)

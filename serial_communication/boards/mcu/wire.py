@@ -6,7 +6,7 @@
      STX                                         ETX
 
 LEN counts TYPE, SEQ and PAYLOAD; CRC is the XOR of TYPE, SEQ and PAYLOAD; SEQ counts up by one
-a frame, modulo 256. Little-endian. Only the board sends.
+a frame, modulo 256. Little-endian. Only the board sends, except for settings.
 """
 import struct
 from collections import namedtuple
@@ -17,6 +17,7 @@ from ...framing.announcement import Chunk
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type,
                                message_class)
 from ...framing.parts import Part, Parts
+from ...framing.settings import SettingMessage
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
 
@@ -112,7 +113,8 @@ Time = message_class(
 
 FROM_BOARD = (SensorStatus, AdcStatus)
 MESSAGES = by_type(*FROM_BOARD)
-BUILT_IN = by_type(*FROM_BOARD, Time, Chunk)      # a custom message has none of these types
+# A custom message has none of these types.
+BUILT_IN = by_type(*FROM_BOARD, Time, SettingMessage, Chunk)
 _LENS = {message.TYPE: MIN_LEN + message.LAYOUT.size for message in (*FROM_BOARD, Time)}
 
 
@@ -163,8 +165,9 @@ class Decoder(StreamDecoder):
         kind = self._messages.get(frame[2]) if len(frame) > 2 else None
         length = frame[1] if len(frame) > 1 else MIN_LEN
         error = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
-        if kind and length >= MIN_LEN and not kind.LAYOUT.fits(length - MIN_LEN):
-            error = f'should be {MIN_LEN} more than {kind.LAYOUT.sizes()}'
+        layout = kind.layout_of(frame[4:5]) if kind else None
+        if layout and length >= MIN_LEN and not layout.fits(length - MIN_LEN):
+            error = f'should be {MIN_LEN} more than {layout.sizes()}'
         parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', error)
         if length < MIN_LEN:
             return parts.take_rest('noise', 'bytes after an invalid LEN')
@@ -208,7 +211,8 @@ class Decoder(StreamDecoder):
             message = kind.unpack(data)
         except struct.error:
             return Good(size, type_, seq, data, None, LENGTH, f'{kind.LABEL} frame with '
-                        f'{len(data)} bytes of data where {kind.LAYOUT.sizes()} is right')
+                        f'{len(data)} bytes of data where {kind.layout_of(data).sizes()} '
+                        'is right')
         reason = message.implausible()
         if reason:
             return Good(size, type_, seq, data, None, IMPLAUSIBLE, f'{kind.LABEL}: {reason}')

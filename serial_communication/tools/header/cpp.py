@@ -10,6 +10,7 @@ from typing import Any, Dict, Iterable, List, Set, Tuple
 
 from ...framing.announcement import write_announcement
 from ...framing.layout import BOARD_TIME, FRACTIONS, Layout, Value
+from ...framing.settings import Setting
 
 _TYPES = {'b': 'int8_t', 'B': 'uint8_t', 'h': 'int16_t', 'H': 'uint16_t', 'i': 'int32_t',
           'I': 'uint32_t', 'l': 'int32_t', 'L': 'uint32_t', 'q': 'int64_t', 'Q': 'uint64_t',
@@ -30,7 +31,7 @@ _OWN = {'BigEndian', 'Count', *_TYPES.values()}
 # this package's library.
 _CLASSES = {'String', 'Serial', 'Print', 'Stream', 'Printable', 'Server', 'Client', 'Servo', 'Wire',
             'Announcer', 'BusResult', 'BusSlave', 'FrameLink', 'ImuData', 'MessageType', 'Packet',
-            'PacketLink', 'SensorStatus', 'StreamSink'}
+            'PacketLink', 'SensorStatus', 'Setting', 'StreamSink'}
 _WORDS = {'e': 'the bits of a float of 16 bits', '?': '0: false, 1: true'}
 _LARGEST_FLOAT = 3.4e38
 
@@ -79,17 +80,34 @@ struct __attribute__((packed)) BigEndian {
 """
 
 
-def header(file: str, link: str, read: Iterable[Any], rows: Dict[str, Any]) -> str:
+_SETTINGS = """\
+// Settings: numbers that the bridge changes while the sketch runs. With this package's library:
+//
+//   SETTINGS(SETTING_VARIABLE)                                          // the variables
+//   constexpr Setting kSettings[] PROGMEM = {{SETTINGS(SETTING_ENTRY)}};  // for bridge.settings()
+//
+// Number, variable, type, value at the start, minimum, maximum, unit, description.
+#define SETTINGS(SETTING) \\
+{}
+"""
+
+
+def header(file: str, link: str, read: Iterable[Any], values: Dict[str, Any],
+           rows: Dict[str, Any]) -> str:
     """The text of the header.
 
     Args:
         file: the name of the configuration.
         link: the name of the board's link.
         read: the rows, as the board's description reads them.
+        values: those of the settings at the start, by name.
         rows: the same rows, as the file has them.
     """
     names = _Names(_OWN | _CLASSES)
-    parts = [part for row in read for part in _row(row, names)]
+    parts = [part for row in read if not isinstance(row, Setting) for part in _row(row, names)]
+    settings = [_setting(row, values[row.name], names) for row in read if isinstance(row, Setting)]
+    if settings:
+        parts.append(_SETTINGS.format(' \\\n'.join(settings)))
     big_endian = any('BigEndian<' in part for part in parts)
     return '\n'.join([_TOP.format(file=_one_line(file), link=link) + _BIG_ENDIAN * big_endian,
                       *parts, _announcement(rows)])
@@ -125,6 +143,16 @@ def _row(row: Any, names: _Names) -> List[str]:
     name = names.new(camel, f'{camel}Message')
     return [f'{where}: no data\nstruct {name} {{\n'
             f'  enum : uint8_t {{ {key.upper()} = {number} }};\n}};\n']
+
+
+def _setting(row: Setting, value: Any, names: _Names) -> str:
+    """Its line in the list."""
+    variable = names.new(row.name, f'{row.name}_setting')
+    type_ = 'bool' if row.code == '?' else _TYPES[row.code]
+    numbers = [f'{number!r}' if row.code in FRACTIONS else f'{int(number)}'
+               for number in (value, row.minimum, row.maximum)]
+    texts = [f'"{_escaped(text.encode())}"' for text in (row.unit, row.description)]
+    return f'  SETTING({", ".join([str(row.setting), variable, type_, *numbers, *texts])})'
 
 
 def _struct(where: str, name: str, key: str, number: int, layout: Layout) -> str:

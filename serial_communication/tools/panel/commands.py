@@ -22,11 +22,13 @@ from ...link.outcome import Verdict
 from ...ros.answers import outcome_fields
 from ...ros.latest_worker import LatestWorker
 from ...ros.rospy_mends.connections import header_of, reaches
+from ...ros.settings import request_of, value_in
 from ..watch.calls import MOST_WAIT, Answer, call
 from ..watch.state import BridgeState
 from ..watch.topics import absolute, leaves, one_line
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch
-from .forms import Message, Service, board_services, custom_messages, custom_services
+from .forms import (Message, Service, board_services, custom_messages, custom_services,
+                    settings)
 
 STEERING = (500, 2500)      # µs, the range of a servo
 _DOUBLE_CLICK = 0.5         # s after a call in which another one of its service is refused
@@ -117,7 +119,9 @@ class Commands:
     def describe(self) -> Dict[str, Any]:
         """What the page needs to build its controls."""
         return {'services': {name: {'link': each.link, 'fields': each.fields,
-                                    'title': each.title, 'confirm': each.confirm}
+                                    'title': each.title, 'confirm': each.confirm,
+                                    'setting': each.setting.name if each.setting else '',
+                                    'about': each.setting.description if each.setting else ''}
                              for name, each in self._services.items()},
                 'messages': {name: {'link': each.link, 'fields': each.fields}
                              for name, each in self._messages.items()},
@@ -133,7 +137,8 @@ class Commands:
         if bridge.parameters is not self._parameters:
             self._parameters = bridge.parameters
             self._services = {**board_services(bridge.boards),
-                              **custom_services(bridge.boards, self._parameters)}
+                              **custom_services(bridge.boards, self._parameters),
+                              **settings(bridge.boards, self._parameters)}
             self._messages = custom_messages(bridge.boards, self._parameters)
             self._registrar.submit(self._register)
             update['controls'] = self.describe()
@@ -173,12 +178,12 @@ class Commands:
         self._refuse_second(page, name, now)
         if self._under_way >= _MAX_CALLS:
             raise CommandRefused(f'{self._under_way} calls are under way, which is the limit')
-        service_class = self._services[name].service_class
-        request = _request(name, service_class, arguments)
+        service = self._services[name]
+        request = _request(name, service, arguments)
         self._ended[page, name] = None
         self._under_way += 1
         entry = self._add_answer(key, name, arguments, now)
-        threading.Thread(target=self._run, args=(page, service_class, request, entry),
+        threading.Thread(target=self._run, args=(page, service, request, entry),
                          daemon=True, name=f'call {name}').start()
 
     def forget(self, page: Any) -> None:
@@ -186,14 +191,15 @@ class Commands:
         self._switch.forget(page)
         self._ended = {key: at for key, at in self._ended.items() if key[0] is not page}
 
-    def _run(self, page: Any, service_class: Any, request: Any, entry: Dict[str, Any]) -> None:
-        answer = call(absolute(entry['name'], self._node), service_class, request,
-                      entry['began'] + _MAX_AGE)
-        self._add_callback(self._answered, page, entry, answer)
+    def _run(self, page: Any, service: Service, request: Any, entry: Dict[str, Any]) -> None:
+        answer = call(absolute(service.service_name(entry['name']), self._node),
+                      service.service_class, request, entry['began'] + _MAX_AGE)
+        self._add_callback(self._answered, page, service, entry, answer)
 
-    def _answered(self, page: Any, entry: Dict[str, Any], answer: Answer) -> None:
+    def _answered(self, page: Any, service: Service, entry: Dict[str, Any],
+                  answer: Answer) -> None:
         now = time.monotonic()
-        reply = _reply(answer.response) if answer.outcome is Verdict.DONE else []
+        reply = _reply(service, answer.response) if answer.outcome is Verdict.DONE else []
         entry.update(outcome=answer.outcome.value, words=answer.words, reply=reply,
                      took=round(now - entry['began'], 3))
         self._under_way -= 1
@@ -358,8 +364,14 @@ def _check_age(seen: float, now: float) -> None:
                              f'at most {_MAX_AGE:g} s; press again')
 
 
-def _request(name: str, service_class: Any, arguments: Dict[str, Any]) -> Any:
+def _request(name: str, service: Service, arguments: Dict[str, Any]) -> Any:
     """The request with these fields; CommandRefused if they do not fit the service."""
+    if service.setting:
+        try:
+            return request_of(service.setting, arguments.get('value'))
+        except ValueError as error:
+            raise CommandRefused(f'{name} {error}') from None
+    service_class = service.service_class
     names = service_class._request_class.__slots__
     if sorted(arguments) != sorted(names):
         raise CommandRefused(f'{name} takes {", ".join(names) or "nothing"}')
@@ -372,8 +384,10 @@ def _request(name: str, service_class: Any, arguments: Dict[str, Any]) -> Any:
     return request
 
 
-def _reply(response: Any) -> List[Tuple[str, str]]:
+def _reply(service: Service, response: Any) -> List[Tuple[str, str]]:
     """The fields of a response that an outcome does not fill: name and value as text."""
+    if service.setting:
+        return [(service.setting.name, str(value_in(response, service.setting)))]
     known = outcome_fields(type(response))
     return [(each.name, one_line(each.text())[:_MAX_REPLY_TEXT]) for each in islice(
         (leaf for name in response.__slots__ if name not in known

@@ -9,9 +9,11 @@ import roslib.message
 
 from ...boards.description import CustomRows, Description, Field
 from ...framing.custom_messages import RowError
-from ...framing.layout import Value
+from ...framing.layout import FRACTIONS, Value
+from ...framing.settings import Setting
 from ...ros.custom_topics import RosMessage, message_rows
-from ..watch.topics import custom_rows
+from ...ros.settings import Reconfigure
+from ..watch.topics import custom_rows, setting_rows
 from .dead_man import CommandRefused
 
 _INTEGERS = {f'{sign}int{bits}': ((-(1 << bits - 1), (1 << bits - 1) - 1) if not sign
@@ -29,6 +31,11 @@ class Service(NamedTuple):
     fields: List[Dict[str, Any]]   # of its request; see `_field`
     title: str = ''                # '': a custom function
     confirm: str = ''              # as in the board's description
+    setting: Optional[Setting] = None    # that it sets; None: its fields are those of the request
+
+    def service_name(self, name: str) -> str:
+        """The name of the service; `name` is that of the form."""
+        return f'~settings/{self.link}/set_parameters' if self.setting else name
 
 
 class Message(NamedTuple):
@@ -108,6 +115,31 @@ def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str,
             found[custom.prefix + name] = service(
                 service_class, board.name, _request_values(custom, name, row))
     return found
+
+
+def settings(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
+    """The boards' settings, by parameter, if dynamic_reconfigure is installed here."""
+    found: Dict[str, Service] = {}
+    for board in boards:
+        if board.settings is None or Reconfigure is None:
+            continue
+        for name, row in setting_rows(board, parameters).items():
+            try:
+                setting, = board.settings.read({name: row})
+            except RowError:
+                continue        # the bridge does not use it
+            found[board.settings.prefix + name] = Service(
+                Reconfigure, board.name, [_setting_field(setting)], f'{board.name}: {name}',
+                setting=setting)
+    return found
+
+
+def _setting_field(setting: Setting) -> Dict[str, Any]:
+    value = setting.layout.values[1]
+    field = _field('value', '', value._replace(minimum=setting.minimum, maximum=setting.maximum))
+    # The limits of a float's place are none for people.
+    return {**field, **{key: None for key, limit in zip(('low', 'high'), value.range)
+                        if value.code in FRACTIONS and field[key] == limit}}
 
 
 def custom_messages(boards: Iterable[Description], parameters: Any) -> Dict[str, Message]:

@@ -21,8 +21,10 @@ _COUNTERS = (('stale', 'dropped {} stale bytes'), ('frames received', 'in {}'),
              ('round trip p50 [ms]', 'round trip {} ms'),
              ('heartbeat gap [ms]', 'heartbeat gap {} ms'), ('frames lost', 'lost {}'),
              ('read delay p50 [ms]', 'read delay {} ms'),
+             ('settings', 'settings {}'), ('settings unconfirmed', 'unconfirmed {}'),
              ('reconnects', 'reconnects {}'))
-_ONLY_ABOVE_0 = ('stale', 'reconnects')     # keys that are shown only if not 0
+# Keys that are shown only if they are not 0 and not empty.
+_ONLY_ABOVE_0 = ('stale', 'reconnects', 'settings unconfirmed')
 
 
 class TextLine(NamedTuple):
@@ -143,7 +145,7 @@ def _link_line(name: str, link: Optional[LinkState], now: float, width: int) -> 
     if causes and len(f'{status}, {errors} ({causes})') <= width:
         errors += f' ({causes})'
     counters = [words.format(link.values[key]) for key, words in _COUNTERS if key in link.values
-                and not (key in _ONLY_ABOVE_0 and link.values[key] == '0')]
+                and not (key in _ONLY_ABOVE_0 and link.values[key] in ('0', ''))]
     return TextLine(_fitting([status, errors, *counters], ', ', width),
                     ('good', 'warn', 'bad', 'bad')[level])
 

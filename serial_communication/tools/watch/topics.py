@@ -10,7 +10,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
 from ...boards import BOARDS, BoardError, description, descriptions
 from ...boards.config_file import board_packages, board_parameters
-from ...boards.description import ANNOUNCED, Description
+from ...boards.description import ANNOUNCED, CustomRows, Description
 from ...framing.layout import BOARD_TIME
 
 NODE = '/serial_communication'           # the bridge's default name
@@ -177,10 +177,20 @@ def expected_links(parameters: Dict[str, Any]) -> List[str]:
 def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]]:
     """Return the custom messages or functions of a board, by name: the rows of its parameters, and
     those that it announces."""
-    names = (ANNOUNCED, board.custom.parameter) if board.custom else ()
+    return _rows(board, board.custom, parameters)
+
+
+def setting_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]]:
+    """Return the settings of a board, likewise."""
+    return _rows(board, board.settings, parameters)
+
+
+def _rows(board: Description, kind: Optional[CustomRows],
+          parameters: Any) -> Dict[str, Dict[str, Any]]:
+    names = (ANNOUNCED, kind.parameter) if kind else ()
     given = board_parameters(parameters, board.name)
     return {name: row for rows in map(given.get, names) if isinstance(rows, dict)
-            for name, row in rows.items() if isinstance(row, dict)}
+            for name, row in rows.items() if isinstance(row, dict) and board.rows_of(row) is kind}
 
 
 def row_topics(board: Description, parameters: Any) -> List[BridgeTopic]:

@@ -1,6 +1,6 @@
 """Learns the custom messages of a line from the announcements in its frames."""
 import struct
-from typing import Any, Dict, Iterable, List, Optional, Tuple
+from typing import Any, Iterable, List, Optional, Tuple
 
 from ...boards.description import Numbering
 from ...framing.announcement import TYPE, Assembly, Chunk, read_announcement
@@ -23,26 +23,28 @@ class Learner:
         self._asked = False     # the latest frame was a request for a chunk
 
     def take(self, sent: bool, frame: Frame) -> List[Any]:
-        """Take a frame; return all custom messages of the line if they have changed, else []."""
+        """Take a frame; return all custom messages and settings of the line if they have changed,
+        else []."""
         chunk = self._chunk(sent, frame)
         try:
             text = self._assembly.add(chunk) if chunk else None
         except ValueError:
             return []       # too long
-        custom = self.line.board.custom
-        if text is None or custom is None:
+        board, parameters = self.line.board, dict(self._configured)
+        if text is None or board.custom is None:
             return []
-        rows: Dict[str, Any] = dict(self._configured.get(custom.parameter) or {})
         for name, row in read_announcement(text).rows.items():
+            custom = board.rows_of(row) or board.custom
+            rows = parameters.get(custom.parameter) or {}
             if name not in rows:
                 try:
                     custom.read({**rows, name: row})
-                    rows[name] = row
+                    parameters[custom.parameter] = {**rows, name: row}
                 except RowError:
                     pass    # the bridge leaves it out, too
-        self.line = self.line._replace(
-            parameters={**self._configured, custom.parameter: rows})
-        return custom.read(rows)
+        self.line = self.line._replace(parameters=parameters)
+        return [each for custom in (board.custom, board.settings) if custom
+                for each in custom.read(parameters.get(custom.parameter) or {})]
 
     def _chunk(self, sent: bool, frame: Frame) -> Optional[Chunk]:
         if frame.cause:

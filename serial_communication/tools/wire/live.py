@@ -7,9 +7,10 @@ import os
 import queue
 import threading
 import time
-from typing import Any, Callable, NamedTuple, Optional, Sequence, Union
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Union
 
 from ...framing.custom_messages import CustomMessage
+from ...framing.settings import Setting, message_of
 from ...framing.stream import Frame
 from ...link.stall import AFTER_STALL, STALL
 from ...transport import pace
@@ -254,10 +255,14 @@ def decode_inbox(inbox: Inbox, line: Settings, until: Optional[float],
 
     def take(sent: bool, frame: Frame) -> None:
         on_frame(sent, frame)
-        for custom in learner.take(sent, frame):
+        rows = learner.take(sent, frame)
+        settings = [row for row in rows if isinstance(row, Setting)]
+        decoders: List[Any] = [direction.decoder for direction in directions]
+        for custom in rows:
             if isinstance(custom, CustomMessage):     # others change nothing that is shown live
-                decoder: Any = directions[custom.is_command].decoder    # of a board that announces
-                decoder.add_message(custom.kind)
+                decoders[custom.is_command].add_message(custom.kind)
+        for decoder in decoders if settings else ():
+            decoder.add_message(message_of(settings))
 
     while True:
         times = [time_ for time_ in [until] + [direction.due() for direction in directions]

@@ -69,7 +69,7 @@ def test_a_wrong_len_of_a_known_type_is_detected_at_once():
     assert len(valid(decoder.feed(status()))) == 1 and decoder.errors[FRAMING] == 1
 
 
-@pytest.mark.parametrize('type_', [0, 2, 3, 0x11, 0xFD])
+@pytest.mark.parametrize('type_', [0, 2, 3, 0x11, 0xFC])
 @pytest.mark.parametrize('size', [0, 1, 253])
 def test_a_valid_frame_of_an_unknown_type_is_returned_and_counted(type_, size):
     payload = bytes(value % 200 + 4 for value in range(size))

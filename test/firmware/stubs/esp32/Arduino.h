@@ -6,6 +6,7 @@
 
 #include <stddef.h>
 #include <stdint.h>
+#include <string.h>
 
 #define HIGH 1
 #define LOW 0
@@ -32,6 +33,7 @@ uint16_t analogRead(uint8_t pin);
 class __FlashStringHelper;
 #define F(text) (reinterpret_cast<const __FlashStringHelper*>(text))
 #define PROGMEM
+#define memcpy_P memcpy
 #define pgm_read_byte(address) (*reinterpret_cast<const unsigned char*>(address))
 
 class Stream {

@@ -30,6 +30,8 @@ export class Commands {
     this._groups = new Map();       // name of a service or topic -> its buttons
     this._reasons = [];             // [{name, link, isCall, place}]: where the reasons are shown
     this._forms = new Map();        // key -> {shape, element}
+    // [setting, link, place, inputs]: where the board's value is shown, and begins to be entered
+    this._settings = [];
     this._body = h('div', {class: 'commands'});
     this._answers = new Answers();
     this._calibrateNote = h('p', {class: 'words beside-button'});
@@ -63,6 +65,12 @@ export class Commands {
       });
     }
     this._calibrating(model, now);
+    for (const [setting, link, place, inputs] of this._settings) {
+      const value = boardValue(model.links.get(link), setting);
+      updateText(place, value);
+      // The form begins with the board's value.
+      if (value !== '?') inputs.splice(0).forEach((input) => begin(input, value));
+    }
     this._answers.draw(model, now, [...this._pending.entries()].filter(([key]) =>
       ![...model.calls.values()].some((call) => call.key === key)).map(([, each]) => each));
   }
@@ -166,6 +174,7 @@ export class Commands {
     this._forms.delete(key);
     for (const {name, place} of this._reasons) if (element.contains(place)) this._groups.delete(name);
     this._reasons = this._reasons.filter(({place}) => !element.contains(place));
+    this._settings = this._settings.filter(([,, place]) => !element.contains(place));
     element.remove();
   }
 
@@ -222,7 +231,7 @@ export class Commands {
   }
 
   /** The form of a service or of a custom command; a field with choices has a button for each. */
-  _form(name, {link, fields, title}, isCall) {
+  _form(name, {link, fields, title, setting, about}, isCall) {
     const heading = title || name.replace('~', '');
     if (fields.some((field) => field.kind === 'other')) {
       return h('fieldset', {}, h('legend', {}, heading), h('p', {class: 'words'},
@@ -240,9 +249,17 @@ export class Commands {
     const buttons = choice
       ? choice.choices.map(([label, value]) =>
         this._button(name, label, (event) => request(event, {[choice.name]: value})))
-      : [this._button(name, isCall ? 'call' : 'send', (event) => request(event, {}))];
+      : [this._button(name, setting ? 'set' : isCall ? 'call' : 'send', (event) => request(event, {}))];
+    const more = [];
+    if (setting) {
+      const board = h('b', {class: 'board-value'});
+      const number = inputs.elements[0].querySelector('input'), sliders = slider(setting, fields[0], number, request);
+      this._settings.push([setting, link, board, [number, ...sliders]]);
+      more.push(h('span', {class: 'note'}, 'board: ', board), ...sliders);
+      if (about) more.push(h('p', {class: 'words'}, about));
+    }
     return this._fieldset(heading, [name], link, isCall,
-      h('div', {class: 'controls'}, ...inputs.elements, ...buttons));
+      h('div', {class: 'controls'}, ...inputs.elements, ...buttons, ...more));
   }
 
   _calibrating(model, now) {
@@ -250,4 +267,27 @@ export class Commands {
     updateText(this._calibrateNote, last?.[1] !== true ? ''
       : `calibrating for ${formatAge(Math.max(0, now - last[0]))} of over 5 min; do not move the car`);
   }
+}
+
+/** The board's own value of a setting, from the values of /diagnostics: kp=2, ramp=? */
+function boardValue(link, setting) {
+  const found = (link?.values?.['settings'] ?? '').split(', ').find((each) => each.startsWith(`${setting}=`));
+  return found ? found.slice(setting.length + 1) : '?';
+}
+
+/** Enter the board's value of a setting, unless something is entered already. */
+function begin(input, value) {
+  if (input.type === 'checkbox') input.checked = value === 'true';
+  else if (!input.value || input.type === 'range') input.value = value;
+}
+
+/** A slider for a number with limits, which is sent when it is let go. */
+function slider(setting, {kind, low, high, whole}, number, request) {
+  if (kind !== 'number' || low === null || high === null) return [];
+  const made = h('input', {type: 'range', min: low, max: high, step: whole ? '1' : String((high - low) / 500),
+    'aria-label': `${setting}, slider`});
+  made.addEventListener('input', () => { number.value = made.value; });
+  made.addEventListener('change', (event) => request(event, {}));
+  number.addEventListener('input', () => { made.value = number.value; });
+  return [made];
 }

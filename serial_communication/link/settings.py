@@ -1,0 +1,215 @@
+"""The settings of one board: which values are wanted, and which the board has confirmed."""
+import threading
+from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple, Type
+
+from ..framing.settings import Setting, SettingMessage, message_of
+from ..transport.pace import Allowance
+from .outcome import Refused
+from .sparing_log import SparingLog
+
+_RATE = 10, 10.0           # frames at once, and then a second: never over 20 in one second
+_PAUSES = 0.2, 1.0         # s between two tries: at first, and later
+_TRIES = 5                 # with the first of these pauses
+_ANSWERS = 3               # as many tries answered by one other value: the board limits it
+
+
+class _State:
+    """One setting."""
+
+    def __init__(self, row: Setting, announced: bool) -> None:
+        self.row = row
+        self.announced = announced
+        self.value: Any = None      # that the board uses; None: not known
+        self.wanted: Any = None     # None: the board's own value stands
+        self.again()
+
+    def again(self) -> None:
+        """The board has to confirm the wanted value anew."""
+        self.confirmed = False
+        self.tries = 0
+        self.due = 0.0
+        self.answers = 0            # tries that were answered by `value`
+        self.answered = 0           # the number of the latest of them
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether nothing else is to be expected from the board soon."""
+        return self.wanted is None or self.confirmed or self.answers >= _ANSWERS
+
+
+class BoardSettings:
+    """A wanted value is sent until the board reports it, and again after the board has lost it.
+
+    Any thread may call any method. Times are monotonic.
+
+    Args:
+        use: called with the message class of the settings whenever there are others.
+        wake: called when there is something to send.
+    """
+
+    def __init__(self, log: SparingLog, use: Callable[[Type[SettingMessage]], None],
+                 wake: Callable[[], None]) -> None:
+        # Called by any thread when rows or values have changed; must not wait.
+        self.on_change: Callable[[], None] = lambda: None
+        self.wanted: Dict[str, Any] = {}     # by name, also of rows that are not there now
+        self._kind = message_of(())
+        self._states: Dict[str, _State] = {}
+        self._by_number: Dict[int, _State] = {}
+        self._allowance = Allowance(*_RATE)
+        self._log, self._use, self._wake = log, use, wake
+        self._changed = threading.Condition()
+
+    # -- rows and wanted values -----------------------------------------------------------
+
+    @property
+    def rows(self) -> List[Setting]:
+        """All rows, by name."""
+        with self._changed:
+            return [self._states[name].row for name in sorted(self._states)]
+
+    def add(self, row: Setting, announced: bool = False) -> Callable[[], None]:
+        """Add a row; return what removes it."""
+        with self._changed:
+            state = self._states[row.name] = _State(row, announced)
+            self._rows_changed()
+        self.want(row.name, self.wanted.get(row.name))
+
+        def remove() -> None:
+            with self._changed:
+                if self._states.get(row.name) is state:
+                    del self._states[row.name]
+                    self._rows_changed()
+            self.on_change()
+
+        return remove
+
+    def _rows_changed(self) -> None:
+        states = self._states.values()
+        self._by_number = {state.row.setting: state for state in states}
+        self._kind = message_of(state.row for state in states)
+        self._use(self._kind)
+
+    def want(self, name: str, value: Any) -> None:
+        """Send this value until the board has it; None: the board's own stands.
+
+        A value that is not allowed is refused with a warning.
+        """
+        with self._changed:
+            state = self._states[name]
+            try:
+                value = None if value is None else state.row.checked(value)
+            except ValueError as error:
+                self._log.warn(f'setting {name}', f'the setting {name} cannot be {value!r}: '
+                               f'it {error}')
+                return
+            if value is not None:
+                self.wanted[name] = value
+            if value != state.wanted or not state.confirmed:
+                state.wanted = value
+                state.again()
+        self._wake()
+        self.on_change()
+
+    def wait(self, names: Iterable[str], seconds: float) -> None:
+        """Wait until the board has confirmed or limited these settings, at most so long."""
+        with self._changed:
+            states = [self._states[name] for name in names if name in self._states]
+            self._changed.wait_for(lambda: all(state.is_settled for state in states), seconds)
+
+    # -- for the link's thread ------------------------------------------------------------
+
+    def reset(self) -> None:
+        """The port was opened: the board may be another one, or have other values."""
+        with self._changed:
+            for state in self._states.values():
+                state.value = None
+                state.again()
+        self.on_change()
+
+    def received(self, message: SettingMessage, is_current: bool) -> None:
+        """The board uses this value.
+
+        Args:
+            is_current: whether the announced rows are known to be those of the board.
+        """
+        with self._changed:
+            state = self._by_number.get(message.number)
+            if state is None or state.announced and not is_current:
+                return
+            value, before = message.value, state.value
+            state.value = value
+            if state.wanted is not None:
+                self._compare(state, value, value == before)
+            self._changed.notify_all()
+        if value != before or not state.is_settled:
+            self.on_change()
+
+    def _compare(self, state: _State, value: Any, is_same: bool) -> None:
+        """The board reports a value of a setting with a wanted one."""
+        if value == state.wanted:
+            # Without a try, the report may have been under way while an older value was sent.
+            state.confirmed |= state.tries > 0
+        elif state.confirmed:
+            # The board has started again, so it has lost the others, too.
+            for each in self._states.values():
+                each.again()
+            self._wake()
+        elif state.tries > state.answered:
+            state.answers = state.answers + 1 if is_same else 1
+            state.answered = state.tries
+
+    def send(self, now: float, write: Callable[[SettingMessage], None],
+             is_current: bool) -> Optional[float]:
+        """Send what is due; return when to call again, or None.
+
+        Args:
+            write: sends a message; raises Refused if it cannot be sent now.
+            is_current: as for `received`.
+        """
+        with self._changed:
+            waiting = [state for state in self._states.values()
+                       if state.wanted is not None and not state.confirmed
+                       and (is_current or not state.announced)]
+            for state in sorted(waiting, key=lambda state: state.due):
+                if now >= state.due and self._allowance.take(now):
+                    self._try(state, now, write)
+            return min((state.due if state.due > now else now + _PAUSES[0] for state in waiting),
+                       default=None)
+
+    def _try(self, state: _State, now: float, write: Callable[[SettingMessage], None]) -> None:
+        name = state.row.name
+        try:
+            write(self._kind(state.row.setting, state.wanted))
+        except Refused:
+            state.due = now + _PAUSES[0]
+            return
+        state.tries += 1
+        state.due = now + _PAUSES[state.tries >= _TRIES]
+        if state.tries == _TRIES + 1:
+            uses = 'is silent about it' if state.value is None else f'uses {state.value}'
+            self._log.warn(f'setting {name}', f'the board has not confirmed {name} = '
+                           f'{state.wanted}, it {uses}; it is sent again each second')
+
+    # -- for displays -----------------------------------------------------------------------
+
+    def shown(self) -> Dict[str, Tuple[Any, Any, bool]]:
+        """Of each setting by name: the board's value, the wanted one, and whether that is
+        confirmed or was refused by the board. None: not known, or not wanted."""
+        with self._changed:
+            return {name: (state.value, state.wanted, state.is_settled)
+                    for name, state in sorted(self._states.items())}
+
+    def values(self) -> List[Tuple[str, Any]]:
+        """For /diagnostics; empty without rows."""
+        with self._changed:
+            states = [self._states[name] for name in sorted(self._states)]
+            unconfirmed = [state for state in states
+                           if state.wanted is not None and not state.confirmed]
+        return [] if not states else [
+            ('settings', ', '.join(f'{state.row.name}={_text(state.value)}' for state in states)),
+            ('settings unconfirmed', ', '.join(
+                f'{state.row.name}={_text(state.wanted)}' for state in unconfirmed))]
+
+
+def _text(value: Any) -> str:
+    return '?' if value is None else str(value).lower() if isinstance(value, bool) else f'{value:g}'

@@ -1,0 +1,203 @@
+"""The settings of boards in ROS: a dynamic_reconfigure server for each link that has any.
+
+dynamic_reconfigure's own Server has a fixed list of parameters, and calls the master while it holds
+its lock. So this module has the topics and the service of one, with dynamic_reconfigure's messages.
+"""
+from functools import partial
+from math import inf
+from types import SimpleNamespace
+from typing import Any, Dict, Iterable, List, Optional, Tuple
+
+import rospy
+
+from ..framing.layout import FRACTIONS
+from ..framing.settings import Setting
+from ..link.link import Link
+from ..link.sparing_log import SparingLog
+from .announced import for_xml_rpc
+from .latest_worker import LatestWorker
+from .parameter import ParameterError
+
+try:
+    from dynamic_reconfigure.encoding import encode_config, encode_description, get_tree
+    from dynamic_reconfigure.msg import Config, ConfigDescription
+    from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
+except ImportError:
+    Config = Reconfigure = None
+
+PARAMETER = 'settings'     # of the node: values by link and name
+_ANSWER = 0.48             # s that a call waits for the board
+PAUSE = 0.1               # s between two updates
+
+
+def start_values(given: Any) -> Dict[str, Dict[str, Any]]:
+    """Return the parameter `settings`; ValueError if it is not values by link and name."""
+    if type(given) is not dict or not all(
+            type(values) is dict and all(type(value) in (bool, int, float)
+                                         for value in values.values())
+            for values in given.values()):
+        raise ValueError('may be values by link and name, as {arduino: {kp: 2.0}}')
+    return given
+
+
+def serve(links: Iterable[Link], parameters: Dict[str, Any], worker: LatestWorker,
+          log: SparingLog) -> None:
+    """Give the links the values that are wanted at the start, and serve their settings.
+
+    Args:
+        parameters: the node's private parameters, which are set at a new master, too.
+        worker: calls the master.
+
+    Raises:
+        ParameterError: a value that its row does not allow.
+    """
+    for link in links:
+        settings, values = link.board_settings, parameters.get(PARAMETER, {}).get(link.name, {})
+        for row in settings.rows:
+            try:
+                row.checked(values.get(row.name, row.default))
+            except ValueError as error:
+                name = rospy.resolve_name(f'~{PARAMETER}/{link.name}/{row.name}')
+                value = values[row.name]
+                raise ParameterError(f'parameter {name} is {value!r} ({type(value).__name__}), '
+                                     f'{error}') from None
+        settings.wanted.update(values)
+        for row in settings.rows:
+            settings.want(row.name, values.get(row.name))
+        server = SettingsServer(link, parameters, log)
+        settings.on_change = partial(worker.submit, server.update)
+        settings.on_change()
+
+
+class SettingsServer:
+    """The settings of one link.
+
+    Args:
+        parameters: the node's private parameters.
+    """
+
+    def __init__(self, link: Link, parameters: Dict[str, Any], log: SparingLog) -> None:
+        self._link = link
+        self._settings = link.board_settings
+        self._parameters = parameters
+        self._log = log
+        self._name = f'~{PARAMETER}/{link.name}'
+        self._server: Optional[Tuple[rospy.Publisher, rospy.Publisher, rospy.Service]] = None
+        self._published: List[Any] = [None, None]     # the latest description and values
+
+    def update(self) -> None:
+        """Publish what has changed, and set the parameters; in the worker's thread."""
+        rows = self._settings.rows
+        if rows and Config is None:
+            self._log.warn('dynamic_reconfigure', 'dynamic_reconfigure is not installed: settings '
+                           f'can only be set by the parameters {self._name}/NAME at the start')
+        elif rows:
+            self._publish(rows)
+        elif self._server:
+            descriptions, updates, service = self._server
+            self._server, self._published = None, [None, None]
+            service.shutdown()
+            descriptions.unregister()
+            updates.unregister()
+        self._set_parameters()
+
+    def _publish(self, rows: List[Setting]) -> None:
+        if self._server is None:
+            self._server = (
+                rospy.Publisher(self._name + '/parameter_descriptions', ConfigDescription,
+                                latch=True, queue_size=10),
+                rospy.Publisher(self._name + '/parameter_updates', Config, latch=True,
+                                queue_size=10),
+                rospy.Service(self._name + '/set_parameters', Reconfigure, self._set))
+        messages = [_description(rows), self._config()]
+        for index, (topic, message) in enumerate(zip(self._server, messages)):
+            if message != self._published[index]:
+                self._published[index] = message
+                topic.publish(message)
+
+    def _set_parameters(self) -> None:
+        """Set the wanted values on the parameter server, for the next start."""
+        known = self._parameters.get(PARAMETER, {})
+        before = known.get(self._link.name, {})
+        wanted = {name: for_xml_rpc(wanted) for name, (_, wanted, _) in
+                  self._settings.shown().items() if wanted is not None}
+        # As new groups: another thread may be reading these.
+        self._parameters[PARAMETER] = {**known, self._link.name: {**before, **wanted}}
+        for name, value in wanted.items():
+            if value != before.get(name):
+                try:
+                    rospy.set_param(f'{self._name}/{name}', value)
+                except Exception as error:  # pylint: disable=broad-except
+                    # rospy passes on what its master, or another server at its address, answers.
+                    self._log.warn('parameter', f'the parameter {self._name}/{name} cannot be set '
+                                   f'now ({error}); a new roscore gets it')
+
+    def _set(self, request: Any) -> Any:
+        """Want the values of a request; return those that the board uses then."""
+        rows = {row.name: row for row in self._settings.rows}
+        given = {each.name: each.value for each in (
+            *request.config.bools, *request.config.ints, *request.config.doubles)
+            if each.name in rows}
+        for name, value in given.items():
+            row = rows[name]
+            self._settings.want(name, min(max(value, row.minimum), row.maximum))
+        self._settings.wait(given, _ANSWER)
+        for name, (value, wanted, is_settled) in self._settings.shown().items():
+            if name in given and not is_settled:
+                self._link.log.warn(f'set {name}', f'the setting {name} = {wanted} is not '
+                                    'confirmed by the board yet; it is sent until it is')
+            elif name in given and value != wanted:
+                self._link.log.warn(f'set {name}', f'the setting {name} cannot be {wanted}: the '
+                                    f'board uses {value}')
+                self._settings.want(name, value)
+        return ReconfigureResponse(self._config())
+
+    def _config(self) -> Any:
+        rows = self._settings.rows
+        shown = self._settings.shown()
+        values = {}
+        for row in rows:
+            value, wanted, is_settled = shown.get(row.name, (None, None, True))
+            if value is None or not is_settled:
+                value = wanted
+            values[row.name] = _type(row)(row.default if value is None else value)
+        return encode_config({**values, 'groups': get_tree(_description(rows))})
+
+
+def request_of(row: Setting, value: Any) -> Any:
+    """Return the request that sets one setting; ValueError for a value that is not allowed."""
+    return ReconfigureRequest(encode_config({row.name: _type(row)(row.checked(value))}))
+
+
+def value_in(response: Any, row: Setting) -> Any:
+    """Return the value of a setting in a response; None if it is not there."""
+    config = response.config
+    return next((each.value for each in (*config.bools, *config.ints, *config.doubles)
+                 if each.name == row.name), None)
+
+
+def _type(row: Setting) -> type:
+    """The type of a setting in dynamic_reconfigure, whose integers have 32 bits with a sign."""
+    return bool if row.code == '?' else float if row.code in ('I', *FRACTIONS) else int
+
+
+def _description(rows: List[Setting]) -> Any:
+    types = {row.name: _type(row) for row in rows}
+    return encode_description(SimpleNamespace(
+        min={row.name: types[row.name](_limit(row, row.minimum)) for row in rows},
+        max={row.name: types[row.name](_limit(row, row.maximum)) for row in rows},
+        defaults={row.name: types[row.name](row.default) for row in rows},
+        config_description={
+            'name': 'Default', 'id': 0, 'parent': 0, 'type': '', 'groups': [],
+            'parameters': [{
+                'name': row.name, 'level': 0, 'edit_method': '',
+                'type': {bool: 'bool', int: 'int', float: 'double'}[types[row.name]],
+                'description': f'{row.description} [{row.unit}]' if row.unit else row.description,
+            } for row in rows]}))
+
+
+def _limit(row: Setting, limit: float) -> float:
+    """A limit of a row; infinite for a float without one."""
+    if row.code in FRACTIONS and limit in row.layout.values[1].range:
+        return inf if limit > 0 else -inf
+    return limit

@@ -1,0 +1,125 @@
+"""Settings: from a row to bytes and back, and every mistake in a row."""
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from serial_communication.boards.arduino import settings as arduino_settings
+from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.mcu import settings as mcu_settings
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.custom_messages import RowError
+from serial_communication.framing.settings import SettingMessage, message_of
+from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
+
+KP = {'setting': 1, 'layout': '<f', 'minimum': 0.0, 'maximum': 10.0, 'unit': '1/s',
+      'description': 'proportional gain'}
+
+
+def row(**changes):
+    """The setting of a row with some keys changed; None removes a key."""
+    return arduino_settings({'kp': {
+        key: value for key, value in {**KP, **changes}.items() if value is not None}})[0]
+
+
+LINKS = [pytest.param(arduino.encode_raw, arduino.Decoder, id='arduino'),
+         pytest.param(arduino.encode_raw, arduino.BoardDecoder, id='to the arduino'),
+         pytest.param(lambda type_, data: mcu.encode_raw(type_, 7, data), mcu.Decoder, id='mcu')]
+
+
+@pytest.mark.parametrize('encode_raw, decoder', LINKS)
+def test_a_setting_on_the_wire(encode_raw, decoder):
+    kind = message_of([row()])
+    frame, = decoder(messages=[kind]).feed(b'\0' * (decoder is not mcu.Decoder)
+                                           + encode_raw(253, b'\1' + struct.pack('<f', 2.2)))
+    assert frame.message == (1, 2.2) and not frame.cause
+    assert str(frame.message) == 'setting number=1 kp=2.2 1/s'
+    assert kind(1, 2.2).pack() == b'\1\xcd\xcc\x0c\x40'
+
+
+@pytest.mark.parametrize('encode_raw, decoder', LINKS)
+def test_a_setting_without_a_row_is_no_error_and_one_of_the_wrong_length_is(encode_raw, decoder):
+    made = decoder(messages=[message_of([row()])])
+    frames = [made.feed(encode_raw(253, data))[0] for data in (
+        b'\2\7\0', b'\1\0\0\0', b'\1' + struct.pack('<f', math.nan), b'')]
+    assert [frame.cause for frame in frames] == ['', LENGTH, IMPLAUSIBLE, LENGTH]
+    assert str(frames[0].message) == 'setting number=2 [7 0]'
+    assert '4 bytes of data where 5 is right' in frames[1].error
+
+
+@pytest.mark.parametrize('code, value, data, text', [
+    ('?', True, b'\1', 'true'), ('b', -5, b'\xfb', '-5'), ('B', 200, b'\xc8', '200'),
+    ('h', -2, b'\xfe\xff', '-2'), ('H', 500, b'\xf4\1', '500'),
+    ('i', -1, b'\xff' * 4, '-1'), ('I', 2 ** 32 - 1, b'\xff' * 4, '4294967295'),
+    ('f', 0.1, b'\xcd\xcc\xcc\x3d', '0.1')])
+def test_values_of_every_layout(code, value, data, text):
+    setting = row(layout='<' + code, minimum=None, maximum=None, unit=None)
+    kind = message_of([setting])
+    assert setting.checked(value) == value and type(setting.checked(value)) is type(value)
+    message = kind(1, value)
+    assert message.pack() == b'\1' + data and kind.unpack(b'\1' + data) == message
+    assert str(message) == f'setting number=1 kp={text}'
+    assert [(part.name, part.value) for part in kind.parts(b'\1' + data)] == [
+        ('number', 1), ('kp', value)]
+
+
+@given(st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_a_float_has_the_fewest_digits_that_are_this_float32(number):
+    short = message_of([row()]).unpack(b'\1' + struct.pack('<f', number)).value
+    assert struct.pack('<f', short) == struct.pack('<f', number)
+    assert len(repr(short)) <= len(repr(number))
+
+
+@pytest.mark.parametrize('changes, values', [
+    ({}, [-0.1, 10.1, math.nan, math.inf, 'text', None, [1.0]]),
+    ({'layout': '<B', 'minimum': 3, 'maximum': None}, [2, 256, -1]),
+    ({'layout': '<?', 'minimum': None, 'maximum': None}, [2, -1]),
+    ({'minimum': None, 'maximum': None}, [1e39, math.inf])])
+def test_values_that_are_not_allowed(changes, values):
+    for value in values:
+        with pytest.raises(ValueError):
+            row(**changes).checked(value)
+
+
+@pytest.mark.parametrize('changes, text', [
+    ({}, 'may be a number from 0 to 10 1/s'),
+    ({'layout': '<h', 'maximum': None, 'unit': None}, 'may be a whole number from 0'),
+    ({'minimum': None}, 'may be a number to 10 1/s'),
+    ({'layout': '<?', 'minimum': None, 'maximum': None}, 'may be true or false')])
+def test_what_is_allowed_in_words(changes, text):
+    with pytest.raises(ValueError) as caught:
+        row(**changes).checked(99999)
+    assert str(caught.value) == text
+
+
+@pytest.mark.parametrize('name, changes, key, words', [
+    ('kp', {'setting': None}, 'kp/setting', 'is missing'),
+    ('kp', {'setting': 256}, 'kp/setting', 'from 0 to 255'),
+    ('kp', {'setting': True}, 'kp/setting', 'from 0 to 255'),
+    ('kp', {'layout': '>f'}, 'kp/layout', '< and one of'),
+    ('kp', {'layout': '<ff'}, 'kp/layout', '< and one of'),
+    ('kp', {'layout': '<d'}, 'kp/layout', '< and one of'),
+    ('kp', {'layout': '<?'}, 'kp/minimum', 'no meaning'),
+    ('kp', {'layout': '<B', 'maximum': 256}, 'kp/maximum', 'from 0 to 255'),
+    ('kp', {'layout': '<B', 'maximum': 2.5}, 'kp/maximum', 'whole number'),
+    ('kp', {'maximum': math.nan}, 'kp/maximum', 'a number from'),
+    ('kp', {'minimum': 11}, 'kp/minimum', 'at most the maximum, 10'),
+    ('kp', {'unit': 3}, 'kp/unit', 'may be text'),
+    ('kp', {'type': 32}, 'kp/type', 'not a key'),
+    ('2kp', {}, '2kp', 'name of letters'), ('groups', {}, 'groups', 'may not be the name')])
+def test_every_mistake_in_a_row(name, changes, key, words):
+    with pytest.raises(RowError) as caught:
+        mcu_settings({name: {k: v for k, v in {**KP, **changes}.items() if v is not None}})
+    assert caught.value.key == 'mcu/settings/' + key and words in str(caught.value)
+
+
+def test_no_two_settings_have_one_number():
+    with pytest.raises(RowError, match='already the setting of a'):
+        arduino_settings({'a': KP, 'b': KP})
+
+
+def test_the_number_of_a_setting_and_of_a_message_are_not_the_same():
+    assert row().number == ('setting', 1) and row().custom.purpose == 'setting: proportional gain'
+    assert SettingMessage.TYPE == 253
