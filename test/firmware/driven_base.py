@@ -7,7 +7,7 @@ from typing import NamedTuple
 from board_ends import CMD_VEL, ERROR, HEARTBEAT, ODOM, Car, packet
 from emulated_board import EmulatedBoard
 
-AHEAD = 2400              # bytes, 0.2 s of the line: so long may this computer be busy elsewhere
+AHEAD = 3600              # bytes, 0.3 s of the line: so long may this computer be busy elsewhere
 ALONG, ROUND = 0.3, 1.2   # m/s and rad/s of a square
 
 

@@ -151,7 +151,7 @@ def test_without_custom_messages_the_bus_board_announces_nothing(bus):
 
 
 @pytest.mark.parametrize('example', [
-    'Button', 'Buzzer', 'DiffDrive', 'Hello', 'HelloESP32', 'NeoPixel', 'Potentiometer', 'Sensor',
+    'Button', 'Buzzer', 'Hello', 'HelloESP32', 'NeoPixel', 'Potentiometer', 'Sensor',
     'ServoArm', 'Slave', 'Sonar'])
 def test_the_rows_of_the_examples_are_valid(example):
     path = os.path.join(FIRMWARE, 'protocol', 'examples', example, example + '.ino')

@@ -28,7 +28,7 @@ def duties(base):
 
 
 def drives_at(base, ahead, turn, left, right):
-    """Drive until both wheels have had these speeds for 0.3 s, and the odometry says so."""
+    """Drive until both wheels have had these speeds for 0.2 s, and the odometry says so."""
     since = None
 
     def steady():
@@ -36,7 +36,7 @@ def drives_at(base, ahead, turn, left, right):
         right_now = speeds(base) == pytest.approx([left, right], abs=0.012) and base.odometry[
             3:] == pytest.approx(((left + right) / 2, (right - left) / TRACK), abs=0.2)
         since = (since or base.board.time) if right_now else None
-        return since and base.board.time > since + 0.3
+        return since and base.board.time > since + 0.2
     base.drive_until(steady, ahead, turn, seconds=20)
 
 

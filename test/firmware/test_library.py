@@ -77,8 +77,7 @@ def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
     assert flash < most and ram < 700
 
 
-@pytest.mark.parametrize('example, at_least', [
-    ('Hello', 400), ('DiffDrive', 400), ('Sensor', 400), ('Slave', 150)])
+@pytest.mark.parametrize('example, at_least', [('Hello', 400), ('Sensor', 400), ('Slave', 150)])
 def test_a_sketch_that_announces_nothing_has_no_code_for_it(
         example, at_least, firmware_build, tmp_path):
     sketch = read('%s/examples/%s/%s.ino' % (LIBRARY, example, example))

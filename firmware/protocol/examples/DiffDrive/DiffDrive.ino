@@ -9,17 +9,20 @@
 #include <safe_board.h>
 #include <util/atomic.h>
 
-// The base.
-const float kWheelRadius = 0.0325f;       // m
-const float kTrack = 0.16f;               // m from wheel to wheel
-const float kEdgesPerTurn = 2 * 11 * 30;  // of one channel in a turn of the wheel: 11 pulses, gear 1:30
-const float kMaxSpeed = 0.5f;             // m/s of a wheel
+// The base, and the controllers, whose output is the duty, -255 … 255. These change while it runs, too.
+//      number, variable, type, value at the start, minimum, maximum, unit, description
+#define SETTINGS(SETTING)                                                       \
+  SETTING(1, wheel_radius, float, 0.0325, 0.005, 0.5, "m", "radius of a wheel") \
+  SETTING(2, track, float, 0.16, 0.02, 2, "m", "distance of the wheels")        \
+  SETTING(3, max_speed, float, 0.5, 0.01, 2, "m/s", "of a wheel")               \
+  SETTING(4, forward, float, 300, 0, 5000, "duty/(m/s)", "of the wanted speed") \
+  SETTING(5, kp, float, 300, 0, 5000, "duty/(m/s)", "of the error")             \
+  SETTING(6, ki, float, 2500, 0, 50000, "duty/m", "of the sum of the errors")   \
+  SETTING(7, kd, float, 0, 0, 500, "duty/(m/s^2)", "of the change of the speed")
 
-// The controllers: of the duty, -255 … 255.
-const float kForward = 300;  // per m/s of the wanted speed
-const float kP = 300;        // per m/s of the error
-const float kI = 2500;       // per m of the error's integral
-const float kD = 0;          // per m/s^2 of the measured speed's change
+SETTINGS(SETTING_VARIABLE)
+constexpr Setting kSettings[] PROGMEM = {SETTINGS(SETTING_ENTRY)};
+const float kEdgesPerTurn = 2 * 11 * 30;  // of one channel in a turn of the wheel: 11 pulses, gear 1:30
 
 const uint32_t kPeriodUs = 20000;
 const uint32_t kCommandMs = 500;   // a command counts so long
@@ -34,7 +37,8 @@ const char kRows[] PROGMEM =
     " minimum: [-10000, -10000, -7, -2, -30], maximum: [10000, 10000, 7, 2, 30],"
     " frame_id: odom, child_frame_id: base_link,"
     " constants: {pose.covariance: [0.01, 0.01, 1000000, 1000000, 1000000, 0.03],"
-    " twist.covariance: [0.001, 0.001, 1000000, 1000000, 1000000, 0.01]}}\n";
+    " twist.covariance: [0.001, 0.001, 1000000, 1000000, 1000000, 0.01]}}\n"
+    SETTINGS(SETTING_ROW);
 
 struct PACKED CmdVel {
   int16_t ahead;  // mm/s
@@ -63,7 +67,6 @@ PacketLink bridge(Serial);
 volatile bool driving = false;
 bool blocked = false;  // until the command is 0
 uint32_t command_ms = 0;
-int32_t edges_apart = 0;  // of the right wheel since the start, less those of the left one
 Odom odom = {0, 0, 0, 0, 0};
 
 // Called with interrupts disabled. Before its direction changes, a bridge is off for a period.
@@ -90,10 +93,10 @@ void stop() {
 
 void handle_cmd_vel(const CmdVel& command) {
   const float ahead = command.ahead * 0.001f;
-  const float turn = command.turn * 0.001f * kTrack / 2;
+  const float turn = command.turn * 0.001f * track / 2;
   // If a wheel would be too fast, both are slower: the curve stays the same.
   const float fastest = fabsf(ahead) + fabsf(turn);
-  const float share = fastest > kMaxSpeed ? kMaxSpeed / fastest : 1;
+  const float share = fastest > max_speed ? max_speed / fastest : 1;
   left.wanted = (ahead - turn) * share;
   right.wanted = (ahead + turn) * share;
   command_ms = millis();
@@ -123,27 +126,27 @@ int16_t take_edges(Wheel& wheel) {
 }
 
 void measure(float seconds) {
-  const float edge = 2 * PI * kWheelRadius / kEdgesPerTurn;
+  const float edge = 2 * PI * wheel_radius / kEdgesPerTurn;
   const int16_t left_edges = take_edges(left);
   const int16_t right_edges = take_edges(right);
   left.speed = left_edges * edge / seconds;
   right.speed = right_edges * edge / seconds;
 
   const float ahead = (left_edges + right_edges) * edge / 2;
-  const float turn = (right_edges - left_edges) * edge / kTrack;
+  const float turn = (right_edges - left_edges) * edge / track;
   odom.x += ahead * cosf(odom.yaw + turn / 2);
   odom.y += ahead * sinf(odom.yaw + turn / 2);
-  edges_apart += right_edges - left_edges;  // exact, unlike a sum of angles
-  odom.yaw = fmodf(edges_apart * edge / kTrack, 2 * PI);
+  odom.yaw += turn;
+  if (fabsf(odom.yaw) > PI) odom.yaw -= odom.yaw > 0 ? 2 * PI : -2 * PI;
   odom.ahead = ahead / seconds;
   odom.turn = turn / seconds;
 }
 
 void control(Wheel& wheel, float last_speed, float seconds) {
   const float error = wheel.wanted - wheel.speed;
-  const float duty = kForward * wheel.wanted + kP * error + wheel.integral - kD * (wheel.speed - last_speed) / seconds;
+  const float duty = forward * wheel.wanted + kp * error + wheel.integral - kd * (wheel.speed - last_speed) / seconds;
   const bool full = fabsf(duty) >= 255;
-  if (!full || duty * error < 0) wheel.integral += kI * error * seconds;
+  if (!full || duty * error < 0) wheel.integral += ki * error * seconds;
   wheel.blocked = full && duty * wheel.speed <= 0 ? wheel.blocked + 1 : 0;
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {
     if (driving && heartbeats.alive()) set_motor(wheel, constrain(duty, -255, 255));
@@ -174,6 +177,7 @@ void setup() {
   Serial.begin(115200);
   bridge.on<CmdVel>(41, handle_cmd_vel);
   bridge.announce(kRows);
+  bridge.settings(kSettings);
 }
 
 void loop() {
