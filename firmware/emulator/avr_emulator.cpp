@@ -53,7 +53,7 @@ struct Options {
 };
 
 const char kUsage[] =
-    "usage: avr_emulator --world car|ctrl|range|pins [options] ELF\n"
+    "usage: avr_emulator --world car|ctrl|range|diff|pins [options] ELF\n"
     "  --link PATH     UART on a new pty, with a symbolic link to it at PATH\n"
     "  --port PATH     UART on an existing tty, opened again when it vanishes\n"
     "  --control PATH  Unix socket of the control channel\n"
@@ -107,8 +107,9 @@ std::unique_ptr<World> make_world(const Options& options, Mcu& mcu) {
   if (options.world == "car") return make_car_world(mcu, options.still);
   if (options.world == "ctrl") return make_ctrl_world(mcu, options.still);
   if (options.world == "range") return make_range_world(mcu, options.still);
+  if (options.world == "diff") return make_diff_world(mcu);
   if (options.world == "pins") return make_pins_world(mcu);
-  throw std::runtime_error("--world must be car, ctrl, range or pins, not \"" + options.world + "\"");
+  throw std::runtime_error("--world must be car, ctrl, range, diff or pins, not \"" + options.world + "\"");
 }
 
 // The EEPROM's content in a file, written whenever it has changed.

@@ -74,6 +74,8 @@ class World {
 std::unique_ptr<World> make_car_world(Mcu& mcu, bool still);
 std::unique_ptr<World> make_ctrl_world(Mcu& mcu, bool still);
 std::unique_ptr<World> make_range_world(Mcu& mcu, bool still);
+// A base with two wheels, which only its motors move.
+std::unique_ptr<World> make_diff_world(Mcu& mcu);
 // Nothing is connected but what clients set.
 std::unique_ptr<World> make_pins_world(Mcu& mcu);
 

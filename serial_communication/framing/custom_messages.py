@@ -19,7 +19,8 @@ _STEP = r'[A-Za-z][A-Za-z0-9_]*(\[[0-9]{1,9}\])?'
 _PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
 ROS_TYPE = re.compile(r'[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*')
 LAYOUT_KEYS = ('layout', 'fields', 'scale', 'offset', 'minimum', 'maximum', 'invalid')
-_MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id', 'constants') + LAYOUT_KEYS
+_MESSAGE_KEYS = ('type', 'direction', 'ros_type', 'frame_id', 'child_frame_id',
+                 'constants') + LAYOUT_KEYS
 # Types from this one on have a meaning of their own on every link: settings, time, announcements.
 RESERVED = 253
 _HUGE = 2 ** 64     # greater than any raw number
@@ -51,6 +52,7 @@ class CustomMessage(NamedTuple):
     ros_type: str
     frame_id: str
     constants: Dict[str, Any]     # values by path, of fields that the board does not send
+    child_frame_id: str = ''
 
     @property
     def number(self) -> Tuple[str, int]:
@@ -106,7 +108,8 @@ def read_messages(entries: Any, key: str, types: Sequence[int], longest: int,
         ros_type = row.text('ros_type', ROS_TYPE, 'a message type, as std_msgs/Float32')
         kind = message_class(name, type_, *row.layout(longest, direction == FROM_BOARD))
         messages.append(CustomMessage(name, row.key, kind, direction == TO_BOARD, ros_type,
-                                      row.text('frame_id', None, 'text', ''), row.constants()))
+                                      row.text('frame_id', None, 'text', ''), row.constants(),
+                                      row.child_frame_id()))
     return messages
 
 
@@ -166,17 +169,25 @@ class Row:
         return value
 
     def constants(self) -> Dict[str, Any]:
-        """The constants: a number, true, false or a text for each path."""
+        """The constants: a number, true, false, a text, or a list of these, for each path."""
         given = self.given.get('constants', {})
         if type(given) is not dict or not all(
                 type(path) is str and path and _PATH.fullmatch(path) for path in given):
             raise self._error('constants', 'may be a group with a value for the path of each '
                               'field, as {present: true}')
         for path, value in given.items():
-            if type(value) not in (bool, int, float, str):
+            if not all(type(each) in (bool, int, float, str)
+                       for each in (value if type(value) is list else [value])):
                 raise RowError(f'{self.name("constants")}/{path}', value,
-                               'may be a number, true, false or a text')
+                               'may be a number, true, false or a text, or a list of these')
         return given
+
+    def child_frame_id(self) -> str:
+        """The frame whose pose, in `frame_id`, the message has; '': none is given."""
+        child = self.text('child_frame_id', None, 'text', '')
+        if child and self.given.get('frame_id', '') in ('', child):
+            raise self._error('child_frame_id', 'needs a frame_id, of another frame')
+        return child
 
     def refuse_unused(self, keys: Iterable[str], beside: str) -> None:
         """Refuse keys that have no meaning beside another one."""

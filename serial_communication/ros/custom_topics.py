@@ -4,7 +4,8 @@ The ROS types and fields in the rows are resolved while the parameters are check
 a row ends the node before it has registered anything or opened a port.
 """
 import threading
-from typing import Any, Callable, List, NamedTuple, Sequence, Set, Tuple, Type
+from typing import (Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Set, Tuple,
+                    Type)
 
 import rospy
 
@@ -16,9 +17,11 @@ from ..framing.settings import Setting
 from .announced import AnnouncedRows
 from .commands import CommandTopic
 from .fields import RosFields, find_type
+from .geometry import FrameBroadcaster
 from .publishing import publisher, wanted
 
 _NODE_SERVICES = {'get_loggers', 'set_logger_level'}    # every rospy node has them
+ODOMETRY = 'nav_msgs/Odometry'
 _LABEL = 100     # characters of a command's values in a warning
 
 
@@ -50,7 +53,7 @@ def resolve(custom: CustomMessage, prefix: str) -> RosMessage:
     """Return a custom message with its ROS type and fields; raise RowError for a mistake."""
     refuse_taken(custom, prefix)
     found = find_type(f'{custom.key}/ros_type', custom.ros_type)
-    check_frame_id(custom, found)
+    check_frame_ids(custom, found)
     fields = RosFields(found, custom.kind.LAYOUT, f'{custom.key}/fields', custom.constants,
                        f'{custom.key}/constants')
     kind = custom.kind if custom.is_command else type(custom.name, (custom.kind,), {
@@ -73,42 +76,68 @@ def taken_names(prefix: str) -> Set[str]:
     return names
 
 
-def check_frame_id(custom: Any, found: Any) -> None:
-    """Raise RowError if a row has a frame id, but its ROS type has no header."""
+def check_frame_ids(custom: Any, found: Any) -> None:
+    """Raise RowError if a row has a frame id, but its ROS type has no field for it."""
     if custom.frame_id and not found._has_header:
         raise RowError(f'{custom.key}/frame_id', custom.frame_id,
                        f'needs a type with a header, {found._type} has none')
+    if custom.child_frame_id and 'child_frame_id' not in found.__slots__:
+        raise RowError(f'{custom.key}/child_frame_id', custom.child_frame_id,
+                       f'needs a type with child_frame_id, as {ODOMETRY}; {found._type} has none')
+    if custom.child_frame_id and 'child_frame_id' in custom.constants:
+        raise RowError(f'{custom.key}/constants', 'child_frame_id', 'is a key of the row, too')
 
 
 class ValuePublisher:
     """Publishes tuples of values as messages of one ROS type, while the topic has subscribers.
 
-    A message is left out if one of its values is "no value" and its field cannot be NaN.
+    A message is left out if one of its values is "no value" and its field cannot be NaN. The pose
+    of a nav_msgs/Odometry is on /tf, too, if the parameters say so.
+
+    Args:
+        fields: of the type.
+        custom: the row, with its frame ids; None: there is none.
+        p: the parameters publish_tf and frame_prefix.
     """
 
-    def __init__(self, name: str, ros_class: Any, fields: RosFields, frame_id: str = '') -> None:
+    def __init__(self, name: str, ros_class: Any, fields: RosFields, custom: Any = None,
+                 p: Optional[Dict[str, Any]] = None) -> None:
         self._lock = threading.Lock()     # held while a message is published or the topic closed
         self._topic = publisher(name, ros_class)
         self._fields = fields
         self._message = fields.new()
         self._has_header = ros_class._has_header
-        if frame_id:
-            self._message.header.frame_id = frame_id
+        self._broadcaster: Optional[FrameBroadcaster] = None
+        if custom and p and custom.frame_id:
+            self._message.header.frame_id = p['frame_prefix'] + custom.frame_id
+        if custom and p and custom.child_frame_id:
+            self._message.child_frame_id = p['frame_prefix'] + custom.child_frame_id
+            if p['publish_tf'] and ros_class._type == ODOMETRY:
+                self._broadcaster = FrameBroadcaster(self._message.header.frame_id,
+                                                     self._message.child_frame_id)
 
     def publish(self, values: Tuple, stamp: rospy.Time) -> None:
         """Publish a message with these values; do nothing once it is closed."""
         with self._lock:
-            topic = self._topic
-            if topic is not None and wanted(topic) and not self._fields.lacks(values):
-                if self._has_header:
-                    self._message.header.stamp = stamp
-                topic.publish(self._fields.fill(self._message, values))
+            topic, broadcaster = self._topic, self._broadcaster
+            if topic is None or not (wanted(topic) or broadcaster) or self._fields.lacks(values):
+                return
+            message = self._fields.fill(self._message, values)
+            if self._has_header:
+                message.header.stamp = stamp
+            if wanted(topic):
+                topic.publish(message)
+            if broadcaster:
+                at, turn = message.pose.pose.position, message.pose.pose.orientation
+                broadcaster.send((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w), stamp)
 
     def close(self) -> None:
         """Unregister the topic; may be called from any thread, at any time."""
         with self._lock:
             topic, self._topic = self._topic, None
         topic.unregister()
+        if self._broadcaster:
+            self._broadcaster.close()
 
 
 class MessageTopics:
@@ -116,16 +145,20 @@ class MessageTopics:
 
     They are those of the description that have a message class, of custom messages, and of
     announced ones.
+
+    Args:
+        p: the parameters messages, publish_tf and frame_prefix.
     """
 
-    def __init__(self, board: Description, rows: List[RosMessage], frame_prefix: str) -> None:
+    def __init__(self, board: Description, p: Dict[str, Any]) -> None:
         assert board.custom, f'{board.name} has no custom rows'
         self._board = board
         self._prefix = board.custom.prefix
-        self._rows = rows
-        self._frame_prefix = frame_prefix
+        self._p = p
+        self._rows: List[RosMessage] = p['messages']
         # By the classes of their messages.
-        self._topics = {row.kind: self._topic(row) for row in rows if not row.custom.is_command}
+        self._topics = {row.kind: self._topic(row) for row in self._rows
+                        if not row.custom.is_command}
         self.custom_kinds = list(self._topics)
         for topic in board.topics:
             if topic.message:
@@ -156,7 +189,7 @@ class MessageTopics:
 
     def _topic(self, row: RosMessage) -> ValuePublisher:
         return ValuePublisher(self._prefix + row.custom.name, row.message_class, row.fields,
-                              row.custom.frame_id and self._frame_prefix + row.custom.frame_id)
+                              row.custom, self._p)
 
     def _take_command(self, row: RosMessage, link: Any, age_limit: float) -> CommandTopic:
         def read(message: Any) -> Any:

@@ -8,7 +8,7 @@ import os
 import re
 import struct
 import sys
-from math import isfinite
+from math import isfinite, isqrt
 from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple,
                     Union)
 
@@ -16,11 +16,14 @@ import roslib.message
 
 from ..framing.custom_messages import RowError
 from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
+from ..framing.rotation import angles, quaternion
 
 _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
           'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
           'float32': 'f', 'float64': 'd'}      # struct's codes
 _MOST_ELEMENTS = 1000     # of an array whose elements are named singly, such as position[2]
+_QUATERNION = 'geometry_msgs/Quaternion'
+_ANGLES = 'roll', 'pitch', 'yaw'     # further fields of a quaternion, in radians
 _STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
 
 
@@ -73,6 +76,7 @@ class _Place(NamedTuple):
     last: Union[str, int]                  # its field name or index there
     to_ros: Optional[Callable[[Any], Any]]     # converts the value
     code: str                              # struct's code of its number; '' for a string
+    is_angle: bool = False                 # of a quaternion, which has no such field
 
 
 class RosFields:
@@ -83,7 +87,8 @@ class RosFields:
         layout: each value's name is its path; a value without a name is left out, and so is
             `BOARD_TIME`, which needs a type with a header.
         key: the parameter with the paths, for errors.
-        constants: values by path; every message from `new` has them.
+        constants: values by path; every message from `new` has them. A list is for an array; for
+            one of n * n elements, a matrix, n values are its diagonal.
         constants_key: their parameter, for errors.
 
     Raises:
@@ -102,13 +107,23 @@ class RosFields:
                         for value in layout.values]
         places = {value.name: place for value, place in zip(layout.values, self._places) if place}
         _refuse_shared(key, places)
-        constants = constants or {}
+        single: Dict[str, Any] = {}
+        for path, value in (constants or {}).items():
+            elements = self._elements(constants_key, path, value)
+            for shared in single.keys() & elements:
+                raise RowError(constants_key, shared, f'overlaps with {path}')
+            single.update(elements)
         fixed = {path: self._constant(constants_key, path, value)
-                 for path, value in constants.items()}
+                 for path, value in single.items()}
         for path in places.keys() & fixed:
             raise RowError(constants_key, path, 'is in fields, too')
         _refuse_shared(constants_key, {**places, **fixed})
-        self._constants = [(place, constants[path]) for path, place in fixed.items()]
+        self._constants = [(place, single[path]) for path, place in fixed.items()]
+        # By the path to a quaternion: the indices of the values that are its angles.
+        self._angles: Dict[Tuple, Dict[Union[str, int], int]] = {}
+        for index, place in enumerate(self._places):
+            if place and place.is_angle:
+                self._angles.setdefault(place.owner, {})[place.last] = index
         # The values that may be "no value", in fields that cannot be NaN.
         self.without_nan = [
             index for index, (value, place) in enumerate(zip(layout.values, self._places))
@@ -140,8 +155,12 @@ class RosFields:
     def fill(self, message: Any, values: Sequence) -> Any:
         """Write the values into a message from `new`, and return it."""
         for place, value in zip(self._places, values):
-            if place:
+            if place and not place.is_angle:
                 _put(message, place, place.to_ros(value) if place.to_ros else value)
+        for owner, indices in self._angles.items():
+            turn = _walk(message, owner)
+            turn.x, turn.y, turn.z, turn.w = quaternion(*[
+                values[indices[name]] if name in indices else 0.0 for name in _ANGLES])
         return message
 
     def read(self, message: Any) -> Tuple:
@@ -156,23 +175,34 @@ class RosFields:
                 values.append(0)
                 continue
             try:
-                value = _walk(message, (*place.owner, place.last))
+                owner = _walk(message, place.owner)
+                value = angles(owner.x, owner.y, owner.z, owner.w)[_ANGLES.index(place.last)] \
+                    if place.is_angle else _walk(owner, (place.last,))
             except IndexError:
                 raise ValueError(f'{place.owner[-1]} has no element {place.last}') from None
             values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
         return tuple(values)
 
     def _resolve(self, key: str, value: Value) -> _Place:
-        path = value.name
-        message_class, type_, array = self._class, '', ''
+        """Return the place of a value; raise RowError if there is none that can hold it."""
+        steps, type_, array, is_angle = self._follow(key, value.name)
+        return self._checked(key, value, steps, type_, array)._replace(is_angle=is_angle)
+
+    def _follow(self, key: str, path: str) -> Tuple[Tuple, str, str, bool]:
+        """Return the steps of a path; the type at its end, and '[…]' if that is an array; and
+        whether it is an angle of a quaternion."""
+        message_class, type_, array, is_angle = self._class, '', '', False
         steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
             if message_class is None:
                 raise RowError(key, path, f'must end at {steps[-1]}, a {type_} without fields')
             fields = dict(zip(message_class.__slots__, message_class._slot_types))
+            if message_class._type == _QUATERNION:
+                fields.update(dict.fromkeys(_ANGLES, 'float64'))
             if name not in fields:
                 raise RowError(key, path, f'{message_class._type} has no field {name}'
                                + _nearest(name, list(fields)))
+            is_angle = name not in message_class.__slots__
             type_, bracket, size = fields[name].partition('[')
             array = bracket + size
             message_class = None if type_ in _CODES or type_ in ('string', 'time', 'duration') \
@@ -189,7 +219,23 @@ class RosFields:
                                      or {'string': str, 'bool': bool}.get(type_, int)))
                 steps += (int(element),)
                 array = ''
-        return self._checked(key, value, steps, type_, array)
+        return steps, type_, array, is_angle
+
+    def _elements(self, key: str, path: str, given: Any) -> Dict[str, Any]:
+        """Return the single constants, by path, that a constant means, which may be a list."""
+        if not isinstance(given, list):
+            return {path: given}
+        _, type_, array, _ = self._follow(key, path)
+        if not array:
+            raise RowError(f'{key}/{path}', given, f'may be one value: {path} is no array')
+        size, every = int(array[1:-1] or len(given)), 1
+        if len(given) != size:
+            every = isqrt(size) + 1      # from one element of the diagonal to the next
+            if len(given) != every - 1 or len(given) ** 2 != size:
+                square = f', or of {every - 1}, its diagonal' * ((every - 1) ** 2 == size)
+                raise RowError(f'{key}/{path}', given, f'may be a list of {size}{square}: '
+                               f'{path} is {type_}{array}')
+        return {f'{path}[{index * every}]': value for index, value in enumerate(given)}
 
     def _constant(self, key: str, path: str, given: Any) -> _Place:
         """Return the place of a constant; raise RowError if it cannot hold it."""
@@ -197,6 +243,8 @@ class RosFields:
         place = self._resolve(key, Value(path, code=code))
         if path == 'header.frame_id':
             raise RowError(f'{key}/{path}', given, 'is set by the key frame_id')
+        if place.is_angle:
+            raise RowError(f'{key}/{path}', given, 'may be in fields only')
         if '?' in (place.code, code) and place.code != code:
             raise RowError(f'{key}/{path}', given, 'may be true or false' if place.code == '?'
                            else 'may be a number')
@@ -238,6 +286,9 @@ def _refuse_shared(key: str, places: Dict[str, _Place]) -> None:
             other = taken.get(steps[:end], path)
             if other != path:
                 raise RowError(key, path, f'overlaps with {other}')
+        for angle, turned in places.items():     # it sets all fields of its quaternion
+            if turned.is_angle and place.owner == turned.owner and not place.is_angle:
+                raise RowError(key, path, f'overlaps with {angle}')
 
 
 class _NarrowedLayout(Layout):

@@ -1,4 +1,5 @@
 """Transforms of tf."""
+from math import isfinite, sqrt
 from typing import Dict, List, Sequence
 
 import rospy
@@ -6,6 +7,7 @@ import tf2_ros
 from geometry_msgs.msg import TransformStamped
 
 from ..framing.rotation import quaternion
+from .publishing import wanted
 
 
 def transform(parent: str, child: str, translation: Sequence[float],
@@ -32,3 +34,27 @@ def publish_mounts(base: str, mounts: Dict[str, List[float]]) -> tf2_ros.StaticT
     broadcaster.sendTransform([transform(base, child, mount[:3], quaternion(*mount[3:]), now)
                                for child, mount in mounts.items()])
     return broadcaster
+
+
+class FrameBroadcaster:
+    """Publishes where a frame is in its parent frame on /tf, while somebody subscribes to that."""
+
+    def __init__(self, parent: str, child: str) -> None:
+        self._frames = parent, child
+        self._broadcaster = tf2_ros.TransformBroadcaster()
+
+    def send(self, translation: Sequence[float], rotation: Sequence[float],
+             stamp: rospy.Time) -> None:
+        """Publish it: x y z in m, and a quaternion x y z w of any length but 0.
+
+        What tf2 would refuse, NaN or infinity, is left out.
+        """
+        norm = sqrt(sum(part * part for part in rotation))
+        if norm and all(map(isfinite, (norm, *translation))) and wanted(self._broadcaster.pub_tf):
+            # tf2 refuses a quaternion whose length is 0.5 % wrong.
+            self._broadcaster.sendTransform(transform(
+                *self._frames, translation, [part / norm for part in rotation], stamp))
+
+    def close(self) -> None:
+        """Unregister from /tf."""
+        self._broadcaster.pub_tf.unregister()

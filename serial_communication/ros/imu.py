@@ -1,13 +1,11 @@
 """An IMU's messages, and its orientation on /tf."""
 import struct
-from math import sqrt
 from typing import Any, Dict, List, Optional, Sequence
 
 import rospy
-import tf2_ros
 from sensor_msgs.msg import Imu
 
-from .geometry import transform
+from .geometry import FrameBroadcaster
 from .publishing import publisher, wanted
 
 _HEAD = struct.Struct('<4I')        # seq, stamp, length of frame_id
@@ -54,8 +52,8 @@ class ImuTopic:
         self._message.linear_acceleration_covariance = \
             _NOT_MEASURED if acceleration is None else _covariance(*[acceleration] * 3)
         self._topic = publisher(name, Imu)
-        self._child = p['imu_orientation_frame_id']
-        self._broadcaster = tf2_ros.TransformBroadcaster() if p['publish_tf'] else None
+        self._broadcaster = FrameBroadcaster(
+            p['imu_frame_id'], p['imu_orientation_frame_id']) if p['publish_tf'] else None
 
     @property
     def is_wanted(self) -> bool:
@@ -74,11 +72,8 @@ class ImuTopic:
         turn.x, turn.y, turn.z = rate
         force.x, force.y, force.z = acceleration
         self._topic.publish(message)
-        norm = sqrt(sum(part * part for part in orientation)) if self._broadcaster else 0.0
-        if norm and wanted(self._broadcaster.pub_tf):      # tf2 refuses one that is 0.5 % wrong
-            self._broadcaster.sendTransform(transform(
-                message.header.frame_id, self._child, (0.0, 0.0, 0.0),
-                [part / norm for part in orientation], stamp))
+        if self._broadcaster:
+            self._broadcaster.send((0.0, 0.0, 0.0), orientation, stamp)
 
 
 def _covariance(x: float, y: float, z: float) -> List[float]:

@@ -16,6 +16,7 @@ from waiting import again_if_stalled
 TIME, MCU_TIME = 254, 0xFE
 SETTING, MCU_SETTING, MCU_CHUNK = 253, 0xFD, 0xFF
 FORCE, GRIPPER = 32, 48    # custom messages
+ODOM, CMD_VEL = 40, 41     # those of the example DiffDrive
 PUMP, TANK = 0x30, 0x32    # custom functions of the bus
 RATE_SCALE = 4000.0 / 65536 * math.pi / 180 * 25  # rad/s
 ACCELERATION_SCALE = 8.0 / 65536 * 9.81  # m/s^2
@@ -29,7 +30,7 @@ def open_port(board):
 
 
 # Of the packets with data of one length, for telling those that a reset has cut off.
-LENGTHS = {ANGLE: 2, TICKS: 1, IMU: 22, VOLTAGE: 4, TIME: 5}
+LENGTHS = {ANGLE: 2, TICKS: 1, IMU: 22, VOLTAGE: 4, ODOM: 20, TIME: 5}
 
 
 packet = arduino_packet

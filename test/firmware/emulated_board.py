@@ -20,7 +20,8 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 FIRMWARE = os.path.join(os.path.dirname(os.path.dirname(HERE)), 'firmware')
 
 # The program that belongs into each world.
-IMAGES = {'car': 'nano_car_emulated.elf', 'ctrl': 'ctrl_board.elf', 'range': 'range_imu.elf'}
+IMAGES = {'car': 'nano_car_emulated.elf', 'ctrl': 'ctrl_board.elf', 'range': 'range_imu.elf',
+          'diff': 'DiffDrive.elf'}
 
 # The "old bootloader" of the Nano, 57600 baud, and the folder of all.
 BOOTLOADERS = '/usr/share/arduino/hardware/arduino/avr/bootloaders'
@@ -54,7 +55,7 @@ class EmulatedBoard:
     """One emulator process; a context manager.
 
     build: the directory that make built into.
-    world: car, ctrl or range.
+    world: car, ctrl, range or diff.
     still: nothing moves but what the board moves and what is set.
     port: an existing tty for the UART; by default the emulator makes a pty, and `port` is its link.
     eeprom: a file to keep the EEPROM in.

@@ -150,7 +150,9 @@ def test_without_custom_messages_the_bus_board_announces_nothing(bus):
     assert bus.function(TYPE, b'\0') == error(0x8000)
 
 
-@pytest.mark.parametrize('example', ['Hello', 'HelloESP32', 'Sensor', 'Slave'])
+@pytest.mark.parametrize('example', [
+    'Button', 'Buzzer', 'Hello', 'HelloESP32', 'NeoPixel', 'Potentiometer', 'Sensor',
+    'ServoArm', 'Slave', 'Sonar'])
 def test_the_rows_of_the_examples_are_valid(example):
     path = os.path.join(FIRMWARE, 'protocol', 'examples', example, example + '.ino')
     with open(path, encoding='utf-8') as file:

@@ -644,7 +644,7 @@ def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
     for arguments, words in (
             (extra, 'no ELF file given; --help lists the options'),
             (['--world', 'moon', elf, *extra],
-             '--world must be car, ctrl, range or pins, not "moon"'),
+             '--world must be car, ctrl, range, diff or pins, not "moon"'),
             (['--world', 'car', '/no/such.elf'], 'cannot load the ELF file /no/such.elf'),
             (['--world', 'car', '--link', '/no/such/link', elf],
              'cannot make the link /no/such/link: No such file or directory'),

@@ -10,6 +10,7 @@ from board_ends import (
     CALIBRATION, GRIPPER, HEARTBEAT, LED, LIFT, OK, PUMP, SETTING, SPEED, STEERING, UP, WARN, Car,
     Frames, Master, drive_until, driving, packet, request,
 )
+from driven_base import cmd_vel
 from emulated_board import FIRMWARE, EmulatedBoard
 from test_motor_stop import ROUNDS, print_times
 from waiting import again_if_stalled
@@ -61,6 +62,18 @@ def motor_and_gripper(board):
     return 'motor_pwm', 'gripper_pwm'
 
 
+def both_motors(board):
+    car = Car(board)
+
+    def runs():
+        car.port.write(packet(HEARTBEAT) + cmd_vel(0.4, 0.0))
+        car.read()
+        return board.get('left_pwm') > 0 and board.get('right_pwm') > 0
+
+    board.wait_until(runs, 2)
+    return 'left_pwm', 'right_pwm'
+
+
 def synchronised(board):
     board.wait_until(lambda: board.time > 0.05, 1)
     master = Master(board)
@@ -95,6 +108,7 @@ IMAGES = {
     'Tuning': ('car', wheel),
     'ctrl_board': ('ctrl', lift), 'ctrl_board_slow': ('ctrl', lift),
     'ctrl_board_custom': ('ctrl', pump), 'Slave': ('ctrl', pump_and_door),
+    'DiffDrive': ('diff', both_motors),
     'range_imu': ('range', sending), 'Hello': ('car', nothing), 'Sensor': ('range', nothing),
 }
 WATCHED = sorted(name for name, (_, turn_on) in IMAGES.items() if turn_on is not nothing)
@@ -134,11 +148,12 @@ def test_a_crash_with_interrupts_off_turns_everything_off(firmware_build, image)
             assert max(taken) < 0.2
 
 
-@pytest.mark.parametrize('image', ['Car', 'Slave'])
+@pytest.mark.parametrize('image', ['Car', 'DiffDrive', 'Slave'])
 def test_pull_downs_keep_noise_from_floating_pins(firmware_build, image):
     """In the bootloader, which each opening of the port starts, no pin is driven."""
     world, turn_on = IMAGES[image]
     outputs = {'car': ('motor_pwm', 'bridge_inputs'),
+               'diff': ('left_pwm', 'left_inputs', 'right_pwm', 'right_inputs'),
                'ctrl': ('pump', 'door', 'lift_steps', 'pan_steps', 'tilt_steps')}[world]
     with EmulatedBoard(firmware_build, world, image=image + '.elf') as board:
         for pull_downs in (1, 0):
@@ -158,7 +173,7 @@ def test_pull_downs_keep_noise_from_floating_pins(firmware_build, image):
             moved = [len(set(seen)) > 1 for seen in values]
             assert moved == [not pull_downs] * len(outputs), (pull_downs, values)
             # The program turns everything off as it starts, whatever the noise has left.
-            for output in {'car': outputs, 'ctrl': outputs[:2]}[world]:
+            for output in outputs[:2] if world == 'ctrl' else outputs:
                 assert board.get(output) == 0
 
 

@@ -40,8 +40,9 @@ def test_the_rows_of_a_list_have_what_the_sketch_has(library_case):
         'position': (5, 'i', 1 - 2 ** 31, 16777217, '', '')}
 
 
-@pytest.mark.parametrize('sketch', ['nano_car/nano_car', 'range_imu/range_imu',
-                                    'protocol/examples/Tuning/Tuning'])
+@pytest.mark.parametrize('sketch', [
+    'nano_car/nano_car', 'range_imu/range_imu', 'protocol/examples/DiffDrive/DiffDrive',
+    'protocol/examples/Tuning/Tuning'])
 def test_the_rows_of_a_sketch_are_valid(sketch, tmp_path):
     """By the preprocessor, which makes one text of its rows."""
     source = os.path.join(FIRMWARE, sketch + '.ino')

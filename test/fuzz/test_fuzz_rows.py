@@ -27,6 +27,8 @@ PATHS = {
     'sensor_msgs/JointState': ('position', 'position[2]', 'position[02]', 'name[1]', 'velocity'),
     'sensor_msgs/CameraInfo': ('D', 'D[3]', 'K[8]', 'height', 'roi.do_rectify', 'binning_x'),
     'geometry_msgs/PoseArray': ('poses[3].position.x', 'poses[999].position.y', 'poses'),
+    'nav_msgs/Odometry': ('pose.pose.orientation.yaw', 'pose.pose.orientation.x',
+                          'pose.covariance', 'pose.covariance[7]', 'child_frame_id'),
     'std_msgs/UInt8MultiArray': ('data', 'data[1]', 'layout.dim[1].label', 'layout.data_offset'),
     'rospy/AnyMsg': ('data',), 'std_msgs': ('data',), '': ('data',), 'a/b/c': ('data',),
     'std_srvs/SetBool': ('data', 'success', 'message'), 'std_srvs/SetBoolRequest': ('data',),

@@ -20,6 +20,7 @@ from pathlib import Path
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / 'ros'), str(Path(__file__).parent)]
 
 import panel_helpers  # noqa: E402
+import square_picture  # noqa: E402
 import stamps_picture  # noqa: E402
 import tuning_picture  # noqa: E402
 from boards import Bridge, Line, program  # noqa: E402
@@ -217,6 +218,8 @@ def main():
     browser = Browser()
     with tempfile.TemporaryDirectory(prefix='pictures_') as folder:
         try:
+            (out / 'diff_drive_square.svg').write_text(
+                square_picture.picture(*square_picture.measure()))
             tuning_picture.make(out)
             take_stamps(browser, Path(folder), out)
             take_intact(browser, Path(folder), out)

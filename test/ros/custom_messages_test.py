@@ -16,13 +16,15 @@ import rosgraph
 import rospy
 import rostest
 import yaml
-from geometry_msgs.msg import Vector3
+from geometry_msgs.msg import PoseStamped, Twist, Vector3
+from nav_msgs.msg import Odometry
 from roscpp.srv import GetLoggers
 from sensor_msgs.msg import (BatteryState, CameraInfo, FluidPressure, JointState, MagneticField,
                              Range)
 from std_msgs.msg import (Bool, Float32, Int16MultiArray, String, UInt8MultiArray, UInt16,
                           UInt16MultiArray)
 from std_srvs.srv import SetBool, Trigger
+from tf2_msgs.msg import TFMessage
 
 from boards import (NOT_SENT, PACKAGE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
                     SensorBoard, Topic, Waiter, level_imu, service, until)
@@ -149,6 +151,39 @@ class FromTheCar(unittest.TestCase):
             self.assertAlmostEqual(message.design_capacity, 2.2, 5)
         joints = self.first('wheels', JointState, 209, struct.pack('<2h', 1, -1))
         self.assertEqual((joints.name, joints.velocity), (['left', 'right'], (1.0, -1.0)))
+        self.assertEqual(joints.effort, (0.0, 3.0))
+
+    def test_odometry_has_a_quaternion_covariances_and_both_frames(self):
+        transforms = Topic('/tf', TFMessage)
+        self.addCleanup(transforms.close)
+        for x, y, yaw in (1500, -250, 1571), (1000, 0, -3142):      # twice, as it is reused
+            message = self.first('odometry', Odometry, 211, struct.pack('<5h', x, y, yaw, 300, 40),
+                                 lambda m, x=x: m.pose.pose.position.x == x / 1000)
+            at, turn = message.pose.pose.position, message.pose.pose.orientation
+            self.assertEqual((at.y, at.z), (y / 1000, 0))
+            for value, right in zip((turn.x, turn.y, turn.z, turn.w), (
+                    0, 0, math.sin(yaw / 2000), math.cos(yaw / 2000))):
+                self.assertAlmostEqual(value, right, 12)
+            self.assertEqual((message.twist.twist.linear.x, message.twist.twist.angular.z),
+                             (0.3, 0.04))
+            self.assertEqual({index: value for index, value in enumerate(message.pose.covariance)
+                              if value}, {0: 0.25, 7: 0.5, 14: 1e6, 21: 1e6, 28: 1e6, 35: 0.75})
+            self.assertEqual([i for i, value in enumerate(message.twist.covariance) if value], [35])
+            self.assertEqual((message.header.frame_id, message.child_frame_id),
+                             ('robot/odom', 'robot/base'))
+            found = until(lambda x=x: [
+                t for m in list(transforms.messages) for t in m.transforms
+                if t.child_frame_id == 'robot/base' and t.transform.translation.x == x / 1000],
+                'it is on /tf, too')[-1]
+            self.assertEqual(found.header.frame_id, 'robot/odom')
+            self.assertGreater(found.header.stamp, rospy.Time(0))
+            self.assertAlmostEqual(found.transform.rotation.z, turn.z, 12)
+
+    def test_roll_pitch_and_yaw_are_one_quaternion(self):
+        message = self.first('attitude', PoseStamped, 212, struct.pack('<3h', 1571, 0, 1571))
+        turn = message.pose.orientation
+        for part in turn.x, turn.y, turn.z, turn.w:
+            self.assertAlmostEqual(part, 0.5, 3)
 
     def test_invalid_packets_are_counted_and_shown_but_not_published(self):
         topics = [Topic(OWN + 'force', Float32), Topic(OWN + 'odd', CameraInfo),
@@ -228,6 +263,17 @@ class ToTheCar(unittest.TestCase):
                    packet(203, struct.pack('>B3h', 9, 1, -2, 3)))
         self.sends(self.command('third', JointState), JointState(position=[7, 8, 9]),
                    packet(204, struct.pack('<h', 9)))
+
+    def test_commands_of_motion_have_their_exact_bytes(self):
+        twist = Twist()
+        twist.linear.x, twist.linear.y, twist.angular.z = 0.25, 9.0, -1.5
+        self.sends(self.command('drive', Twist), twist,
+                   packet(213, struct.pack('<hh', 250, -1500)))
+        goal = PoseStamped()
+        goal.pose.position.x = 2
+        goal.pose.orientation.z, goal.pose.orientation.w = -math.sqrt(0.5), math.sqrt(0.5)
+        self.sends(self.command('goal', PoseStamped), goal,
+                   packet(214, struct.pack('<3h', 2000, 0, -1571)))
 
     def test_commands_that_cannot_be_sent_are_refused_with_a_warning(self):
         say = self.command('say', String)
@@ -543,6 +589,39 @@ class Mistakes(unittest.TestCase):
             'constants': {'varianc': 1.0}}, '/constants', 'did you mean variance?$')
         check({'arduino': {'messages': {'pack': dict(battery, constants={
             'charge': float('nan'), 'cell_voltage[1]': 4, 'power_supply_status': 255})}}}, '/node')
+
+    def test_what_a_pose_cannot_have_is_refused(self):
+        yaw = 'pose.pose.orientation.yaw'
+        odometry = {'type': 32, 'ros_type': 'nav_msgs/Odometry', 'layout': '<h', 'fields': [yaw],
+                    'frame_id': 'odom', 'child_frame_id': 'base'}
+        for changes, key, said in (
+                ({'ros_type': 'sensor_msgs/Temperature', 'fields': ['temperature']},
+                 '/child_frame_id', 'needs a type with child_frame_id, as nav_msgs/Odometry'),
+                ({'constants': {'child_frame_id': 'base'}}, '/constants', 'is a key of the row'),
+                ({'constants': {yaw.replace('yaw', 'w'): 1}}, '/constants', 'overlaps with ' + yaw),
+                ({'constants': {yaw.replace('yaw', 'roll'): 1}}, '/constants/' + yaw.replace(
+                    'yaw', 'roll'), 'in fields only$'),
+                ({'constants': {'pose.covariance': [1] * 7}}, '/constants/pose.covariance',
+                 'may be a list of 36, or of 6, its diagonal: pose.covariance is float64[36]$'),
+                ({'constants': {'pose.covariance': [1] * 6, 'pose.covariance[0]': 1}},
+                 '/constants', 'overlaps with'),
+                ({'constants': {'pose.covariance': [1] * 5 + ['x']}}, '/constants',
+                 'a text needs a string'),
+                ({'constants': {'header.seq': [1]}}, '/constants/header.seq', 'is no array$'),
+                ({'layout': '<hh', 'fields': [yaw, yaw.replace('yaw', 'z')]}, '/fields',
+                 'overlaps with'),
+                ({'fields': ['pose.pose.yaw']}, '/fields', 'has no field yaw'),
+                ({'fields': [yaw + '.x']}, '/fields', 'must end at yaw, a float64 without fields'),
+                ({'layout': '<s'}, '/fields', 'a text needs a string')):
+            with self.subTest(said):
+                self.assert_mistake('arduino/messages', 'pose', dict(odometry, **changes), key,
+                                    said)
+        self.assert_mistake('arduino/messages', 'k', {
+            'type': 32, 'ros_type': 'sensor_msgs/CameraInfo', 'layout': '<h', 'fields': [''],
+            'constants': {'P': [1, 1, 1]}}, '/constants/P', 'may be a list of 12: P is float64')
+        check({'arduino': {'messages': {'pose': dict(odometry, layout='<hh', fields=[
+            yaw, yaw.replace('yaw', 'pitch')], constants={'pose.covariance': [0.5] * 36})}}},
+            '/node')
 
     def test_values_that_overlap_in_the_message_are_refused(self):
         for layout, fields, said in (

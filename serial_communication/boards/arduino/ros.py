@@ -70,7 +70,7 @@ class ArduinoInterface(Interface):
         self._temperature_message.header.frame_id = p['imu_frame_id']
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
         self._calibrating.publish(False)
-        self._topics = MessageTopics(DESCRIPTION, p['messages'], p['frame_prefix'])
+        self._topics = MessageTopics(DESCRIPTION, p)
         self.link = ArduinoLink(
             Port(p['port'], p['baud'], p['reset_on_open']),
             ArduinoSettings(**{name: p[name] for name in ArduinoSettings._fields}),

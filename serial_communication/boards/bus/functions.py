@@ -9,8 +9,8 @@ from ...framing.layout import Layout
 from .messages import ANNOUNCEMENT, BUILT_IN, FUNCTION, NO_DATA, Function
 from .wire import MAX_LENGTH
 
-_KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'constants', 'request', 'reply',
-         'timeout', 'repeatable', 'interrupts')
+_KEYS = ('cmd2', 'srv_type', 'ros_type', 'period', 'frame_id', 'child_frame_id', 'constants',
+         'request', 'reply', 'timeout', 'repeatable', 'interrupts')
 _TAKEN = [str(cmd2) for cmd1, cmd2 in sorted(BUILT_IN) if cmd1 == FUNCTION
           and cmd2 < ANNOUNCEMENT.cmd2]
 _FREE = (f'a whole number from 0 to {ANNOUNCEMENT.cmd2 - 1} but {", ".join(_TAKEN[:-1])} '
@@ -30,7 +30,7 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[Function]:
         if polled:
             row.refuse_unused(['repeatable', 'interrupts'], 'ros_type')
         else:
-            row.refuse_unused(['period', 'frame_id', 'constants'], 'srv_type')
+            row.refuse_unused(['period', 'frame_id', 'child_frame_id', 'constants'], 'srv_type')
         functions.append(Function(
             name, cmd2, key=row.key,
             request=_layout(row, 'request', only_zeros=polled), reply=_layout(row, 'reply'),
@@ -40,6 +40,7 @@ def read_functions(entries: Any, key: str = 'bus/functions') -> List[Function]:
             period=row.number('period', lambda n: 0.001 <= n <= 86400,
                               'a number from 0.001 to 86400 (s)') if polled else 0.0,
             frame_id=row.text('frame_id', None, 'text', ''), constants=row.constants(),
+            child_frame_id=row.child_frame_id(),
             timeout=row.number('timeout', lambda n: 0.01 <= n <= 600,
                                'a number from 0.01 to 600 (s)', default=0.0) or None,
             repeatable=polled or row.flag('repeatable'),

@@ -159,6 +159,7 @@ class Function(NamedTuple):
     period: float = 0.0          # s between two polls; 0 for a service
     frame_id: str = ''
     constants: Dict[str, Any] = {}    # see CustomMessage
+    child_frame_id: str = ''
 
     @property
     def number(self) -> Tuple[str, int]:

@@ -14,7 +14,7 @@ from ...link.link import Refused
 from ...link.outcome import NOT_SENT, Outcome
 from ...ros.announced import AnnouncedRows
 from ...ros.answers import fill_response
-from ...ros.custom_topics import ValuePublisher, check_frame_id, names_of, refuse_taken
+from ...ros.custom_topics import ValuePublisher, check_frame_ids, names_of, refuse_taken
 from ...ros.fields import RosFields, find_type
 from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import PORT, Parameter, baud, seconds
@@ -56,11 +56,11 @@ class BusInterface(Interface):
         self._functions = p['functions']
         for row in self._functions:
             if row.custom.period:
-                _poll(row, self.link, p['frame_prefix'])
+                _poll(row, self.link, p)
         if p['announcements']:
             self.announced = AnnouncedRows(
                 DESCRIPTION, self.link, [row.custom for row in self._functions], _ros_function,
-                lambda row: _add_announced(row, self.link, p['frame_prefix']))
+                lambda row: _add_announced(row, self.link, p))
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
@@ -157,18 +157,17 @@ def _with_types(function: wire.Function) -> RosFunction:
                            f'{value.name} is none, and a response cannot be left out')
     else:
         found = find_type(f'{key}/ros_type', function.ros_type)
-        check_frame_id(function, found)
+        check_frame_ids(function, found)
         reply = RosFields(found, function.reply, f'{key}/reply/fields', function.constants,
                           f'{key}/constants')
     narrowed = function._replace(reply=reply.narrowed(function.reply))
     return RosFunction(narrowed, found, request, reply)
 
 
-def _poll(row: RosFunction, link: BusLink, frame_prefix: str) -> Tuple[Poller, ValuePublisher]:
+def _poll(row: RosFunction, link: BusLink, p: Dict[str, Any]) -> Tuple[Poller, ValuePublisher]:
     """Call a function with a period, and publish its replies."""
     function = row.custom
-    topic = ValuePublisher('~' + function.name, row.ros_class, row.reply,
-                           function.frame_id and frame_prefix + function.frame_id)
+    topic = ValuePublisher('~' + function.name, row.ros_class, row.reply, function, p)
     return link.polls.add(function, function.period, lambda outcome: topic.publish(
         _values(function, outcome), outcome.stamp)), topic
 
@@ -178,13 +177,13 @@ def _values(function: wire.Function, outcome: Outcome) -> Tuple:
     return () if function.reply.is_empty else function.reply.unpack(outcome.data)
 
 
-def _add_announced(row: RosFunction, link: BusLink, frame_prefix: str) -> Callable[[], None]:
+def _add_announced(row: RosFunction, link: BusLink, p: Dict[str, Any]) -> Callable[[], None]:
     """Make the service or the poll of an announced function; return what takes it down."""
     row = row._replace(custom=row.custom._replace(announced=True))
     if row.request:
         service = _advertise(row, link)
         return lambda: service.shutdown('the board announces it no longer')
-    poller, topic = _poll(row, link, frame_prefix)
+    poller, topic = _poll(row, link, p)
 
     def take_down() -> None:
         link.polls.remove(poller)

@@ -65,7 +65,7 @@ class McuInterface(Interface):
         self._imu = ImuTopic('mcu/imu', p)
         self._missing = self._logged = ''    # the sensors without a value, now and in the log
         self._missing_since = 0.0            # monotonic
-        self._topics = MessageTopics(DESCRIPTION, p['messages'], p['frame_prefix'])
+        self._topics = MessageTopics(DESCRIPTION, p)
         self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
                             network_silence=p['network_silence'],
