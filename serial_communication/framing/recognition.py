@@ -21,8 +21,8 @@ class Recognition:
 
     def __init__(self, decoders: Mapping[str, Callable[[], Decoder]]) -> None:
         self.name = ''          # of the board; '': not recognised
-        self._make = decoders
-        self._begin()
+        self._candidates = [_Candidate(name, make()) for name, make in decoders.items()]
+        self._size = 0
 
     def feed(self, data: bytes) -> None:
         """Read some more bytes."""
@@ -33,6 +33,11 @@ class Recognition:
         if self._size >= _WINDOW:
             self._begin()
 
+    def reset(self) -> None:
+        """Begin anew, as with another stream."""
+        self.name = ''
+        self._begin()
+
     def finish(self) -> None:
         """There are no more bytes: also count what waits for more."""
         for each in self._candidates:
@@ -41,7 +46,8 @@ class Recognition:
         self._decide(False)
 
     def _begin(self) -> None:
-        self._candidates = [_Candidate(name, make()) for name, make in self._make.items()]
+        for each in self._candidates:
+            each.reset()
         self._size = 0
 
     def _decide(self, is_final: bool) -> None:
@@ -58,6 +64,10 @@ class _Candidate:
     def __init__(self, name: str, decoder: Decoder) -> None:
         self.name = name
         self.decoder = decoder
+        self.reset()
+
+    def reset(self) -> None:
+        self.decoder.reset()
         self.valid = 0        # bytes in valid frames
         self.frames = 0       # these frames
         self.invalid = 0      # other bytes

@@ -34,6 +34,8 @@ class UnknownBytes:
     def __init__(self, others: Iterable[OtherBoard], baud: int = 115200,
                  print_to: str = 'another port') -> None:
         self._others = {other.name: other for other in others}
+        self._recognition = Recognition(
+            {name: other.decoder for name, other in self._others.items()})
         self._baud, self._print_to = baud, print_to
         self.understood_at = float('-inf')   # the latest frame of a known type; monotonic
         self.opened()
@@ -50,8 +52,7 @@ class UnknownBytes:
         self._types: Set[int] = set()    # unknown types of frames
         self._frames = 0                 # of unknown types
         self._surplus = 0                # bytes of these frames, less those of invalid ones
-        self._recognition = Recognition(
-            {name: other.decoder for name, other in self._others.items()})
+        self._recognition.reset()
 
     def add(self, frame: Frame, now: float) -> str:
         """Count a frame without a message; if it is printed text, return a line that says so."""
