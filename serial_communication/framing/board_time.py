@@ -23,7 +23,7 @@ MOST_JUMP = 1.0       # s between the two clocks from one point to the next; mor
 MOST_OLDER = 0.1      # s before the newest time; a time that is older is that of a board begun anew
 MOST_EARLY = 0.01     # s that bytes may seem to arrive before they are sent; else a time is wrong
 MOST_DELAY = 1.0      # s; a frame that seems to have been delayed more is not believed
-_WRAP = 2 ** 32       # µs after which the board's clock begins again at 0
+_HALF = 2 ** 31       # µs; after twice that the board's clock begins again at 0
 
 _Point = Tuple[float, float]     # board time, arrival
 
@@ -65,7 +65,7 @@ class BoardClock:
             arrival: when the frame began on the wire at the latest.
         """
         elapsed = arrival - self._newest[1]
-        step = ((ticks - self._ticks + _WRAP // 2) % _WRAP - _WRAP // 2) / 1e6
+        step = ((ticks - self._ticks + _HALF) % (2 * _HALF) - _HALF) / 1e6
         if not (elapsed <= WINDOW and step > -MOST_OLDER
                 and abs(step - elapsed) <= MOST_JUMP + MOST_DRIFT * elapsed):
             self.reset()       # all points are old, or the clock jumped
@@ -81,12 +81,12 @@ class BoardClock:
         if at > arrival + MOST_EARLY:
             self.reset()
             return None
-        if step < 0.0:
-            return min(at, arrival)
-        if step < SMOOTHED:
+        if 0.0 <= step < SMOOTHED:
             at += (self._returned + self._slope * step - at) * (1 - step / SMOOTHED)
-        at = self._returned = max(min(at, arrival), self._returned)
-        self._add(ticks, (board, arrival))
+        at = min(at, arrival)
+        if step >= 0.0:
+            self._add(ticks, (board, arrival))
+            at = self._returned = max(at, self._returned)
         return at
 
     def _add(self, ticks: int, point: _Point) -> None:
