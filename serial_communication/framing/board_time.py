@@ -127,14 +127,13 @@ class BoardClock:
 
 def _add_to_hull(hull: List[_Point], point: _Point) -> None:
     """Add a point that is not before the last one."""
-    while len(hull) > 1 and not _is_below(hull[-1], hull[-2], point):
+    board, arrival = point
+    while len(hull) > 1:
+        (board_0, arrival_0), (board_1, arrival_1) = hull[-2:]
+        if ((arrival_1 - arrival_0) * (board - board_0)
+                < (arrival - arrival_0) * (board_1 - board_0)):
+            break      # the last one is below the line from the one before to this one
         hull.pop()
-    if hull and hull[-1][0] == point[0]:     # of two at one time the earlier arrival counts
+    if hull and hull[-1][0] == board:     # of two at one time the earlier arrival counts
         point = min(point, hull.pop())
     hull.append(point)
-
-
-def _is_below(point: _Point, left: _Point, right: _Point) -> bool:
-    """Whether `point` is below the line from `left` to `right`."""
-    return ((point[1] - left[1]) * (right[0] - left[0])
-            < (right[1] - left[1]) * (point[0] - left[0]))
