@@ -6,13 +6,16 @@ only ever add, and the two clocks differ by a rate that hardly changes. So the l
 delayed least, and gives the time of all others.
 
 Sources: E. Olson, "A Passive Solution to the Sensor Synchronization Problem", IROS 2010;
-ethz-asl/cuckoo_time_translator, whose ConvexHullOwt also uses the edge in the middle.
+ethz-asl/cuckoo_time_translator, whose ConvexHullOwt uses the edge in the middle.
 """
 from bisect import bisect_left
 from math import inf
 from typing import List, Optional, Tuple
 
 WINDOW = 10.0         # s of points that are used
+DRAWN_EVERY = 0.1     # s after which the line below them is drawn anew
+EDGE = 0.3            # its place: of the window, before the newest point
+SMOOTHED = 0.5        # s in which the times move over to a new line, exponentially
 LEAST_POINTS = 10     # before a time is returned, and
 LEAST_SPAN = 1.0      # s that they span at least
 MOST_DRIFT = 0.01     # a Nano has a ceramic resonator, good to 0.5 %
@@ -20,14 +23,13 @@ MOST_JUMP = 1.0       # s between the two clocks from one point to the next; mor
 MOST_OLDER = 0.1      # s before the newest time; a time that is older is that of a board begun anew
 MOST_EARLY = 0.01     # s that bytes may seem to arrive before they are sent; else a time is wrong
 MOST_DELAY = 1.0      # s; a frame that seems to have been delayed more is not believed
-_SECONDS_A_TICK = 1e-6
-_WRAP = 2 ** 32 * _SECONDS_A_TICK      # s after which the board's clock begins again at 0
+_HALF = 2 ** 31       # µs; after twice that the board's clock begins again at 0
 
 _Point = Tuple[float, float]     # board time, arrival
 
 
 class BoardClock:
-    """The clock of one board. All times are in s of one monotonic clock of ours.
+    """The clock of one board. All times are in s, those of ours of one monotonic clock.
 
     A point costs a constant time on average: it enters the hull once and leaves it once.
     """
@@ -38,12 +40,15 @@ class BoardClock:
     def reset(self) -> None:
         """Forget all points: the port was opened, the bridge stalled, or the board began anew."""
         self._hull: List[_Point] = []
+        self._new: List[_Point] = []               # points that are not in the hull yet
         self._points = 0
         self._is_known = False
-        self._first = 0.0                           # board time of the first point
-        self._newest: _Point = (-inf, -inf)
+        self._ticks = 0                            # of the newest point
+        self._newest: _Point = (0.0, -inf)         # board times are from the first point on
         self._returned = -inf                      # the latest time returned
+        self._on_line: _Point = (0.0, 0.0)         # a point of the line
         self._slope = 1.0
+        self._drawn_until = -inf                   # board time until which the line holds
 
     @property
     def drift(self) -> float:
@@ -59,68 +64,76 @@ class BoardClock:
             ticks: µs, modulo 2 ** 32.
             arrival: when the frame began on the wire at the latest.
         """
-        board = self._unwrapped(ticks * _SECONDS_A_TICK, arrival)
-        is_newest = board >= self._newest[0]
-        if not self._is_known and is_newest:
-            self._add((board, arrival))
+        elapsed = arrival - self._newest[1]
+        step = ((ticks - self._ticks + _HALF) % (2 * _HALF) - _HALF) / 1e6
+        if not (elapsed <= WINDOW and step > -MOST_OLDER
+                and abs(step - elapsed) <= MOST_JUMP + MOST_DRIFT * elapsed):
+            self.reset()       # all points are old, or the clock jumped
+            step = 0.0
+        board = self._newest[0] + step
         if not self._is_known:
-            return None
-        at = self._on_line(board)
+            if step >= 0.0:
+                self._add(ticks, (board, arrival))
+            if not self._is_known:
+                return None
+            step = inf         # there is no time before this one
+        at = self._on_line[1] + self._slope * (board - self._on_line[0])
         if at > arrival + MOST_EARLY:
             self.reset()
             return None
+        if 0.0 <= step < SMOOTHED:
+            at += (self._returned + self._slope * step - at) * (1 - step / SMOOTHED)
         at = min(at, arrival)
-        if is_newest:
-            self._add((board, arrival))
+        if step >= 0.0:
+            self._add(ticks, (board, arrival))
             at = self._returned = max(at, self._returned)
         return at
 
-    def _unwrapped(self, board: float, arrival: float) -> float:
-        """Return the board time without wraps; reset if all points are old or the clock jumped."""
-        board_before, arrival_before = self._newest
-        elapsed = arrival - arrival_before
-        if elapsed <= WINDOW:
-            step = board - board_before
-            step += round((elapsed - step) / _WRAP) * _WRAP
-            if step >= -MOST_OLDER and abs(step - elapsed) <= MOST_JUMP + MOST_DRIFT * elapsed:
-                return board_before + step
-        self.reset()
-        return board
-
-    def _add(self, point: _Point) -> None:
-        hull = self._hull
-        if not hull:
-            self._first = point[0]
-        while len(hull) > 1 and not _is_below(hull[-1], hull[-2], point):
-            hull.pop()
-        if hull and hull[-1][0] == point[0]:     # of two at one time the earlier arrival counts
-            point = min(point, hull.pop())
-        hull.append(point)
-        oldest = point[0] - WINDOW
-        while hull[0][0] < oldest and len(hull) > 2:
-            del hull[0]
+    def _add(self, ticks: int, point: _Point) -> None:
+        """Add the newest point; the hull gets several at once, which takes less time."""
+        self._ticks = ticks
         self._newest = point
-        if not self._is_known:
-            self._points += 1
-            self._is_known = self._points >= LEAST_POINTS and point[0] - self._first >= LEAST_SPAN
+        self._new.append(point)
+        if point[0] >= self._drawn_until:
+            self._draw_line()
 
-    def _on_line(self, board: float) -> float:
-        """Extend the hull's edge in the middle of the points to this time.
+    def _draw_line(self) -> None:
+        """Extend an edge of the hull: a late one follows the drift, an early one has less noise.
 
         An edge that is too steep or too flat is not one of the two clocks. Then the lowest line
         of the nearest permitted slope is used.
         """
         hull = self._hull
-        at = bisect_left(hull, ((hull[0][0] + board) / 2,), 1, len(hull) - 1)
+        for point in self._new:
+            _add_to_hull(hull, point)
+        self._points += len(self._new)
+        self._new.clear()
+        board = hull[-1][0]
+        while len(hull) > 2 and hull[1][0] < board - WINDOW:     # its edge is below no point
+            del hull[0]
+        if self._points < LEAST_POINTS or board < LEAST_SPAN:
+            return
+        self._is_known = True
+        self._drawn_until = board + DRAWN_EVERY
+        place = board - EDGE * min(WINDOW, board - hull[0][0])
+        at = bisect_left(hull, (place,), 1, len(hull) - 1)
         (board_0, arrival_0), (board_1, arrival_1) = hull[at - 1], hull[at]
         slope = (arrival_1 - arrival_0) / (board_1 - board_0)
         self._slope = min(max(slope, 1 - MOST_DRIFT), 1 + MOST_DRIFT)
-        if self._slope == slope:
-            return arrival_0 + slope * (board - board_0)
-        return min(point[1] + self._slope * (board - point[0]) for point in hull)
+        self._on_line = hull[at]
+        if self._slope != slope:
+            self._on_line = min(hull, key=lambda point: point[1] - self._slope * point[0])
 
 
-def _is_below(point: _Point, left: _Point, right: _Point) -> bool:
-    """Whether `point` is below the line from `left` to `right`."""
-    return ((point[1] - left[1]) * (right[0] - left[0])
-            < (right[1] - left[1]) * (point[0] - left[0]))
+def _add_to_hull(hull: List[_Point], point: _Point) -> None:
+    """Add a point that is not before the last one."""
+    board, arrival = point
+    while len(hull) > 1:
+        (board_0, arrival_0), (board_1, arrival_1) = hull[-2:]
+        if ((arrival_1 - arrival_0) * (board - board_0)
+                < (arrival - arrival_0) * (board_1 - board_0)):
+            break      # the last one is below the line from the one before to this one
+        hull.pop()
+    if hull and hull[-1][0] == board:     # of two at one time the earlier arrival counts
+        point = min(point, hull.pop())
+    hull.append(point)

@@ -157,8 +157,9 @@ class Connection:
             if link.DRAINS and self.state is PortState.RECEIVING:
                 wake_at = now
             data = port.read(wake_at - now)
-            stamp = self._clock()
+            # In this order: most of the time that the clock takes is after it has read the time.
             now = time.monotonic()
+            stamp = self._clock()
             stall = self._check_stall(now)
             if self.state is PortState.DROPPING:
                 self._drop(data, stall, now)

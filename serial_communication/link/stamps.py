@@ -7,7 +7,7 @@ from ..framing.stream import Frame
 from ..transport.port import Port
 from .sparing_log import SparingLog
 
-_DELAYS = 1000     # the latest, of which `values` are
+_DELAYS = 200     # the latest measurements, of which `values` are
 
 
 class Read(NamedTuple):
@@ -39,24 +39,27 @@ class Stamps:
         self._ticks: Optional[int] = None    # the board's latest time
         self._at: Optional[float] = None     # when that was, monotonic; None: not known
         self._stamp: Any = None              # the same as a stamp
+        self._read: Optional[Read] = None    # the latest with a frame that has it
         self._delays: Deque[float] = deque(maxlen=_DELAYS)     # s from measurement to read
 
     def reset(self) -> None:
         """The port was opened, or the bridge stalled."""
         self._clock.reset()
         self._delays.clear()
-        self._ticks = None
+        self._ticks = self._read = None
 
     def of(self, frame: Frame, read: Read) -> Any:
         """The stamp of the frame's measurement; that of its read if it is not known.
 
         All frames of one measurement have the same stamp.
         """
+        if frame.ticks == self._ticks and read is self._read:
+            return self._stamp
         if frame.ticks is None or not self._is_on:
             return read.stamp
         if frame.ticks != self._ticks:
             self._is_told = True
-            self._ticks = frame.ticks
+            self._ticks, self._read = frame.ticks, None
             wire_time = (len(frame.raw) + frame.behind) * self._port.byte_time
             self._at = self._clock.measured_at(frame.ticks, read.at - wire_time)
             if self._at is not None:
@@ -70,6 +73,7 @@ class Stamps:
                            'stamp of its read')
             return read.stamp
         self._delays.append(delay)
+        self._read = read
         return self._stamp
 
     def values(self) -> List[Tuple[str, Any]]:

@@ -157,8 +157,9 @@ def _recognisable(p: dict, given: dict) -> List[OtherBoard]:
 
 def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
     """Return the time so many seconds before `stamp`; ROS has none before 0."""
+    nanoseconds = stamp.secs * 1_000_000_000 + stamp.nsecs - int(seconds * 1e9)
     earlier = rospy.Time.__new__(rospy.Time)     # in half the time of the call
-    earlier.secs, earlier.nsecs = divmod(max(stamp.to_nsec() - round(seconds * 1e9), 0), 10 ** 9)
+    earlier.secs, earlier.nsecs = divmod(max(nanoseconds, 0), 1_000_000_000)
     return earlier
 
 

@@ -124,9 +124,12 @@ def test_the_boards_clock_wraps(before):
     assert len(errors) >= 1399 and p99(errors) < 3e-4
 
 
-@pytest.mark.parametrize('batch, limit', [(0, 3e-4), (0.001, 6e-4), (0.016, 2.5e-3)])
-def test_a_line_that_delivers_in_batches(batch, limit):
-    board = Board(drift=0.004, wander=3e-6)
+@pytest.mark.parametrize('batch, wander, limit, most_uneven', [
+    (0, 3e-6, 3e-4, 5e-5), (0.001, 3e-6, 6e-4, 1e-4), (0.016, 3e-6, 2.5e-3, 3e-4),
+    (0, 0, 5e-5, 1e-5), (0.001, 0, 1e-4, 3e-5), (0.016, 0, 6e-4, 2e-4)])
+def test_a_line_that_delivers_in_batches(batch, wander, limit, most_uneven):
+    """The stamps are right, and their distances still more so."""
+    board = Board(drift=0.004, wander=wander)
     delays, clock, errors = usual(least=2e-4), BoardClock(), []
     newest = 0.0
     for index in range(6000):
@@ -141,6 +144,8 @@ def test_a_line_that_delivers_in_batches(batch, limit):
         if at is not None:
             errors.append(at - true - 2e-4)
     assert p99(errors) < limit
+    distances = sorted(abs(after - before) for before, after in zip(errors, errors[1:]))
+    assert distances[len(distances) * 999 // 1000] < most_uneven
 
 
 @pytest.mark.parametrize('jump', [-2 ** 31, -1_100_000, -120_000, 1_100_000, 2 ** 31])
@@ -191,6 +196,13 @@ def test_the_drift_is_told(ppm):
     clock, board = BoardClock(), Board(drift=ppm * 1e-6)
     errors_of(clock, board, take(1200, usual()))
     assert clock.drift == pytest.approx(ppm, abs=20)
+
+
+def test_one_late_point_changes_no_drift():
+    """Also if all others of the window are on one edge of the hull, which began before it."""
+    clock, board = BoardClock(), Board(drift=0.003)
+    errors_of(clock, board, [*[0.0] * 1500, 0.05, 0.0])
+    assert clock.drift == pytest.approx(3000, abs=20)
 
 
 def test_a_slope_over_one_percent_is_held_there():

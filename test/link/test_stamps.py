@@ -261,6 +261,30 @@ def test_stamps_over_a_tty(line, logger, running):
     assert link.frames_lost == 0
 
 
+def test_the_time_in_which_the_clock_returns_is_not_in_the_stamp(line, logger, running):
+    """It varies: the clock of ROS makes an object."""
+    got, pause = [], [0.0]
+
+    def clock():
+        stamp = time.monotonic()
+        time.sleep(pause[0])
+        return stamp
+
+    def measure():
+        count, measured = len(got) + 1, time.monotonic()
+        line.write(arduino.encode(arduino.Time(round(measured * 1e6) % 2 ** 32, 1))
+                   + arduino.encode(arduino.Ticks(1)))
+        until(lambda: len(got) == count)
+        return got[-1] - measured
+
+    link = running(ArduinoLink(Port(line.path), logger=logger, clock=clock,
+                               on_message=lambda message, stamp: got.append(stamp)))
+    until(lambda: link.port.is_open)
+    until(lambda: link.stamps.values()[0][1] != '-', doing=measure)
+    pause[0] = 0.05
+    assert measure() > -0.01
+
+
 def test_a_board_without_time_has_the_stamps_of_its_reads_themselves(logger):
     """The same objects, however late a read is; and nothing of a clock in /diagnostics."""
     got, options = [], {'logger': logger, 'earlier': lambda *_: pytest.fail('it has no time')}

@@ -210,7 +210,7 @@ TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration
 # A custom message has none of these types.
 BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, Log, Time, SettingMessage, announcement.Chunk)
 # TIME does not count packets of these types.
-_UNTIMED = (*Log.TYPES, SettingMessage.TYPE, announcement.TYPE)
+_UNTIMED = frozenset((*Log.TYPES, SettingMessage.TYPE, announcement.TYPE))
 
 
 def encode(message: Any) -> bytes:
