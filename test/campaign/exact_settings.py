@@ -2,6 +2,7 @@
 import itertools
 import json
 import struct
+import threading
 import time
 from typing import Any, Dict
 
@@ -11,7 +12,7 @@ from dynamic_reconfigure.srv import Reconfigure
 
 import by_definition as codec
 from .boards import Packet
-from .rig import Rig
+from .rig import SPEED_TIMEOUT, Rig
 from .robot import NODE
 
 _SETTING = 253
@@ -21,6 +22,9 @@ PARAMETERS = {'arduino/settings': json.dumps({
     'gain': {'setting': 1, 'layout': '<f', 'minimum': 0.0, 'maximum': 10.0},
     'ramp': {'setting': 2, 'layout': '<H'}})}
 _BACK = 1.0             # s
+_MOST = 20              # frames with settings in a second
+_WINDOW = 0.9           # s; a packet may be read so much later than another that it seems nearer
+_STOP_DELAY = 0.05      # s that SPEED 0 may be sent later than speed_timeout
 _NONE = 'no setting to a board without rows, or while it calibrates'
 
 
@@ -121,6 +125,35 @@ def calibrates(rig: Rig) -> None:
             rig.car.talks = True
 
 
+def dragged(rig: Rig) -> None:
+    """A slider is dragged: each value is set as soon as the one before is answered."""
+    limited = rig.row('at most 20 frames with settings in any second')
+    in_time = rig.row('SPEED 0 within speed_timeout + 50 ms of the last command')
+    ended = threading.Event()
+
+    def drag() -> None:
+        for number in itertools.count():
+            _set(gain=number % 100 / 10, ramp=number % 1000)
+            if ended.is_set():
+                return
+
+    with _Tunable(rig):
+        slider = threading.Thread(target=drag)
+        slider.start()
+        try:
+            for speed in range(301, 306):
+                rig.robot.command('speed', speed)
+                packet = in_time.wait(lambda: rig.car.packet(codec.SPEED, speed), 'the speed')
+                stop = in_time.wait(lambda: rig.car.stop_after(packet), 'SPEED 0')
+                rig.in_time(in_time, packet.t, stop.t, SPEED_TIMEOUT + _STOP_DELAY, 'no stop')
+        finally:
+            ended.set()
+            slider.join()
+    times = [packet.t for packet in rig.car.packets if packet.type == _SETTING]
+    for first, beyond in zip(times, times[_MOST:]):
+        limited.check(beyond - first > _WINDOW, f'{_MOST + 1} in {beyond - first:.2f} s')
+
+
 def no_rows(rig: Rig) -> None:
     """A board sends settings that no row describes."""
     required = rig.row(_NONE)
@@ -132,4 +165,4 @@ def no_rows(rig: Rig) -> None:
         required.check(not sent, f'{sent[:2]} were sent')
 
 
-SERIAL = confirmed, resets, calibrates
+SERIAL = confirmed, resets, calibrates, dragged
