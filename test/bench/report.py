@@ -118,6 +118,10 @@ GOALS = (
     Goal("CPU with the board's time, relative to without", 1.05, 'stamps',
          lambda results: results['tty']['board: ' + SCHEDSTAT]
          / results['tty']['read: ' + SCHEDSTAT]),
+    Goal('a setting, from set to confirmed: p99 in ms', 20, 'settings',
+         _of('5 sets a second', 'p99, ms')),
+    Goal('heartbeat while a slider is dragged, p99.9 in ms', 15, 'settings',
+         _of('a slider is dragged', 'heartbeat: p99.9, ms')),
     Goal('CPU of each of several bridges, relative to one', 1.10, 'bridges',
          _ratio(CPU, 'all', 'one')),
 )

@@ -237,7 +237,7 @@ class Frames:
         self.board = board
         self.port = open_port(board)
         self._received = b''
-        self._cut = True     # opening the port has dropped what was there, perhaps half a frame
+        self._cut = True     # opening the port drops what is there
         self.frames = []
         self.times = []      # (number, µs)
         self.settings = []   # data

@@ -107,7 +107,7 @@ def test_the_car_announces_the_example(firmware_build):
         car.board.wait_until(lambda: len(car.read(TYPE)) >= count, 1 + count / 10)
         text, = assembled([Chunk.unpack(data) for data in car.read(TYPE)])
         firmware, rows = rows_in(text)
-        assert firmware == 'nano_car 1.2.0'
+        assert firmware == 'nano_car 1.3.0'
         settings = {name: rows.pop(name) for name, row in list(rows.items()) if 'setting' in row}
         assert [row.name for row in read_settings(settings, 'rows')] == [
             'imu_rate', 'motor_ramp', 'steering_range']
@@ -141,7 +141,7 @@ def test_the_control_board_announces_the_example(firmware_build):
         assert master.function(TYPE, bytes([index])) == error(0x8000)
         assert master.function(TYPE) == error(0x8000)
         firmware, rows = rows_in(text)
-        assert firmware == 'ctrl_board 1.2.0'
+        assert firmware == 'ctrl_board 1.3.0'
         named = {name: EXAMPLES['bus']['functions'][name] for name in ('pump', 'stop', 'tank')}
         assert meanings(read_functions(rows)) == meanings(read_functions(named))
 

@@ -19,13 +19,15 @@ from serial_communication.srv import Lift, Release
 
 PAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))),
                     'doc', 'flashing.md')
-# A command that has the port open for some seconds.
+# A command that has the port open for some seconds, or until SIGUSR1.
 BORROW = '''
-import serial, sys, time
+import serial, signal, sys, time
+signal.signal(signal.SIGUSR1, lambda *_: sys.exit())
 port = serial.Serial(sys.argv[1], 57600, timeout=0.05)
 print('open', flush=True)
 time.sleep(float(sys.argv[2]))
 '''
+LOAN = 6.0      # s; a loan of `release` that is not renewed has ended
 
 
 class LendingTest(BoardsTest):
@@ -85,10 +87,11 @@ class LendingTest(BoardsTest):
         return process.stdout.read()
 
     @staticmethod
-    def children_of(process):
-        """The process ids of its children; none once it has ended."""
+    def children_of(parent):
+        """The ids of the children of a process, or of its id; none once it has ended."""
+        pid = getattr(parent, 'pid', parent)
         try:
-            with open('/proc/%d/task/%d/children' % (process.pid, process.pid)) as file:
+            with open('/proc/%d/task/%d/children' % (pid, pid)) as file:
                 return list(map(int, file.read().split()))
         except OSError:
             return []
@@ -150,12 +153,14 @@ class LendingTest(BoardsTest):
     # -- the program ----------------------------------------------------------------------
 
     def test_a_command_borrows_the_port_and_gives_it_back(self):
-        process = self.borrow(7.0)      # longer than a loan
+        process, began = self.borrow(), time.monotonic()
         self.check_state(WARN, 'lent to python3 (pid %d)' % process.pid)
         shown = subprocess.run([program('monitor'), '--once'], stdout=subprocess.PIPE,
                                universal_newlines=True, timeout=30)
         self.assertIn('lent to python3 (pid %d)' % process.pid, shown.stdout)
+        until(lambda: time.monotonic() > began + LOAN, 'the loan was renewed')
         self.assertEqual(bytes(self.board.wire), b'')
+        os.kill(self.children_of(process)[0], signal.SIGUSR1)
         self.assertEqual(self.ends(process, 0), '')
         self.check_back(4.0)
         self.assertTrue(self.bridge.alive)
@@ -200,8 +205,9 @@ class LendingTest(BoardsTest):
                                   stderr=subprocess.STDOUT, universal_newlines=True, timeout=30)
             self.assertEqual(done.returncode, status, done.stdout)
             self.assertIn(words, ' '.join(done.stdout.split()))
-        self.assertTrue(service('/%s/arduino/release' % PACKAGE, Release)('me', 2.0).success)
+        self.assertTrue(service('/%s/arduino/release' % PACKAGE, Release)('me', 60.0).success)
         self.assertIn('the port is lent to me', self.ends(self.program('true'), 125))
+        self.assertTrue(service('/%s/arduino/release' % PACKAGE, Release)('me', 0.0).success)
 
     def test_a_signal_ends_the_command_and_the_port_is_given_back(self):
         for number in signal.SIGTERM, signal.SIGHUP, signal.SIGINT:
@@ -260,13 +266,16 @@ class LendingTest(BoardsTest):
 
     def test_kill_of_the_program_whose_command_has_children(self):
         """They go on, as an upload of arduino-cli does, and nothing is written to it."""
-        process = self.program('sh', '-c', sys.executable + ' -c "$0" "$1" 9; true', BORROW,
+        process = self.program('sh', '-c', sys.executable + ' -c "$0" "$1" 600; true', BORROW,
                                '{port}')
         self.assertEqual(process.stdout.readline(), 'open\n')
         self.check_lent()
+        command, = self.children_of(process)
+        child, = self.children_of(command)
         process.kill()
         self.check_state(ERROR, 'still open in python3')
         self.assertEqual(bytes(self.board.wire), b'')
+        os.kill(child, signal.SIGUSR1)
         self.check_back()
 
     def test_kill_of_the_bridge(self):
@@ -291,7 +300,7 @@ class LendingTest(BoardsTest):
     def test_a_bridge_that_was_suspended_during_a_loan_does_not_disturb_it(self):
         process = self.borrow()
         self.bridge.process.send_signal(signal.SIGSTOP)
-        time.sleep(6.0)         # longer than the loan
+        time.sleep(LOAN)
         self.bridge.process.send_signal(signal.SIGCONT)
         self.check_state(WARN, 'lent to python3')
         self.assertEqual(bytes(self.board.wire), b'')

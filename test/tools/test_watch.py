@@ -286,6 +286,14 @@ def test_trouble_names_its_cause():
     assert 'restart the bridge' in bridge.trouble(24.0)
 
 
+def test_a_bridge_that_starts_after_its_monitor_is_no_trouble():
+    bridge = BridgeState('/car/bridge', master='http://robot:11311')
+    bridge.master_answered(False, 5.0)
+    bridge.master_answered(False, 15.0)
+    bridge.set_link('bus', reported(0, 15.5))
+    assert bridge.trouble(16.0) == ''
+
+
 def test_all_ok_requires_every_link_and_no_trouble():
     bridge = BridgeState()
     bridge.master_answered(True, 5.0)

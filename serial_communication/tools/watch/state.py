@@ -111,7 +111,7 @@ class BridgeState:
         self.master = master
         self.master_at: Optional[float] = None     # when the master answered last
         self.registered: Optional[bool] = None     # whether the master knows the node
-        self._registered_since: float = 0.0        # when `registered` last changed
+        self._agreed_at: float = 0.0        # when `registered` last agreed with what is received
         self.parameters: Dict[str, Any] = {}       # private ones, nested; empty until known
         self.boards = boards_of({})                # by these parameters
         self._expected = list(topics)
@@ -157,25 +157,28 @@ class BridgeState:
 
     def master_answered(self, registered: bool, now: float) -> None:
         """Store the master's answer: whether it knows the node."""
-        if registered != self.registered:
-            self.registered, self._registered_since = registered, now
-        self.master_at = now
+        if registered or not self._reports(now):
+            self._agreed_at = now
+        self.registered, self.master_at = registered, now
 
     def reported_at(self) -> Optional[float]:
         """Return when the bridge last reported on a link, or None."""
         return max((link.at for link in self.links.values() if link), default=None)
 
+    def _reports(self, now: float) -> bool:
+        reported = self.reported_at()
+        return reported is not None and now - reported <= _PERIODS_TO_STALE * _LINK_PERIOD
+
     def trouble(self, now: float) -> str:
         """Return why nothing new can be received, in words; '' while the bridge reports."""
-        reported = self.reported_at()
-        reports = reported is not None and now - reported <= _PERIODS_TO_STALE * _LINK_PERIOD
+        reports, reported = self._reports(now), self.reported_at()
         if self.master_at is None or now - self.master_at > _MASTER_TIMEOUT:
             age = '' if self.master_at is None else f' for {ago(now - self.master_at)}'
             return f'no answer from the ROS master at {self.master}{age}'
         if self.registered is False:
             if reports:
                 # It may have started or ended since the master answered.
-                return '' if now - self._registered_since < _MASTER_TIMEOUT else \
+                return '' if now - self._agreed_at < _MASTER_TIMEOUT else \
                     f'the master at {self.master} does not know the bridge {self.node}, ' \
                     'although it runs: restart the bridge'
             return f'no bridge {self.node} at {self.master}'
