@@ -25,6 +25,7 @@ _BACK = 1.0             # s
 _MOST = 20              # frames with settings in a second
 _WINDOW = 0.9           # s; a packet may be read so much later than another that it seems nearer
 _STOP_DELAY = 0.05      # s that SPEED 0 may be sent later than speed_timeout
+_IN_USE = 'a setting told as confirmed is in use at the board'
 _NONE = 'no setting to a board without rows, or while it calibrates'
 
 
@@ -82,7 +83,7 @@ def _set(**values: float) -> Dict[str, float]:
 
 def confirmed(rig: Rig) -> None:
     """The line loses requests and answers."""
-    required = rig.row('a setting told as confirmed is in use at the board')
+    required = rig.row(_IN_USE)
     with _Tunable(rig) as car:
         for loses, number in itertools.product((0, 3, 2), range(1, 5)):
             car.loses = loses
@@ -95,8 +96,9 @@ def confirmed(rig: Rig) -> None:
 
 
 def resets(rig: Rig) -> None:
-    """The board is reset, and loses its values."""
+    """The board is reset, also while its port is unplugged, and loses its values."""
     required = rig.row('after a reset all wanted settings are back within 1 s')
+    in_use = rig.row(_IN_USE)
     with _Tunable(rig) as car:
         wanted = {1: 7.5, 2: 250}
         _set(gain=7.5, ramp=250)
@@ -105,6 +107,15 @@ def resets(rig: Rig) -> None:
             car.reset()
             required.wait(lambda: car.values == wanted, 'all are back')
             rig.in_time(required, began, time.monotonic(), _BACK, 'all are back')
+        for _ in rig.tries(*range(3)):
+            rig.car_line.unplug()
+            car.values = dict(_DEFAULTS)
+            in_use.wait(lambda: rig.next_report('arduino')[2]['settings unconfirmed']
+                        == 'gain=7.5, ramp=250', 'none is told as confirmed')
+            rig.car_line.plug()
+            first = required.wait(lambda: rig.car.beats and rig.car.first, 'the port is opened')
+            required.wait(lambda: car.values == wanted, 'all are back')
+            rig.in_time(required, first.t, time.monotonic(), _BACK, 'all are back')
 
 
 def calibrates(rig: Rig) -> None:
