@@ -119,6 +119,7 @@ class Connection:
         self.state = PortState.CLOSED
         self._link.announcement.reset()    # before any thread can write to the next opening
         self.guarded(self._port.close)
+        self.guarded(self._link.board_settings.closed)
         self.guarded(self._link.closed, time.monotonic())
 
     def _idle(self, now: float) -> float:

@@ -122,6 +122,13 @@ class BoardSettings:
 
     # -- for the link's thread ------------------------------------------------------------
 
+    def closed(self) -> None:
+        """The port was closed: nothing is known to be in use any more."""
+        with self._changed:
+            for state in self._states.values():
+                state.again()
+        self.on_change()
+
     def reset(self) -> None:
         """The port was opened: the board may be another one, or have other values."""
         with self._changed:

@@ -68,6 +68,27 @@ def test_a_setting_is_sent_until_the_board_reports_it(request, link_name, board_
 
 
 @LINKS
+def test_nothing_is_told_as_confirmed_while_the_port_is_closed(
+        request, link_name, board_name, read, encode):
+    board, link = map(request.getfixturevalue, (board_name, link_name))
+    settings = link.board_settings
+    for row in read(ROWS):
+        settings.add(row)
+    settings.want('kp', 2.0)
+    until(lambda: settings_of(board))
+    board.write(encode(KP(1, 2.0)))
+    until(lambda: settings.shown()['kp'][2])
+    with board.unplugged():
+        until(lambda: not link.port.is_open)
+        until(lambda: settings.shown()['kp'] == (2.0, 2.0, False))
+        assert dict(link.report(0.0).values)['settings unconfirmed'] == 'kp=2'
+        settings.want('kp', 2.0)        # the same
+        assert not settings.shown()['kp'][2]
+        board.forget()
+    until(lambda: settings_of(board))
+
+
+@LINKS
 def test_an_announced_setting_is_sent_only_to_a_board_that_announces_it(
         request, link_name, board_name, read, encode):
     board, link = map(request.getfixturevalue, (board_name, link_name))

@@ -2,6 +2,7 @@
 import itertools
 import json
 import struct
+import threading
 import time
 from typing import Any, Dict
 
@@ -11,7 +12,7 @@ from dynamic_reconfigure.srv import Reconfigure
 
 import by_definition as codec
 from .boards import Packet
-from .rig import Rig
+from .rig import SPEED_TIMEOUT, Rig
 from .robot import NODE
 
 _SETTING = 253
@@ -21,6 +22,10 @@ PARAMETERS = {'arduino/settings': json.dumps({
     'gain': {'setting': 1, 'layout': '<f', 'minimum': 0.0, 'maximum': 10.0},
     'ramp': {'setting': 2, 'layout': '<H'}})}
 _BACK = 1.0             # s
+_MOST = 20              # frames with settings in a second
+_WINDOW = 0.9           # s; a packet may be read so much later than another that it seems nearer
+_STOP_DELAY = 0.05      # s that SPEED 0 may be sent later than speed_timeout
+_IN_USE = 'a setting told as confirmed is in use at the board'
 _NONE = 'no setting to a board without rows, or while it calibrates'
 
 
@@ -78,7 +83,7 @@ def _set(**values: float) -> Dict[str, float]:
 
 def confirmed(rig: Rig) -> None:
     """The line loses requests and answers."""
-    required = rig.row('a setting told as confirmed is in use at the board')
+    required = rig.row(_IN_USE)
     with _Tunable(rig) as car:
         for loses, number in itertools.product((0, 3, 2), range(1, 5)):
             car.loses = loses
@@ -91,8 +96,9 @@ def confirmed(rig: Rig) -> None:
 
 
 def resets(rig: Rig) -> None:
-    """The board is reset, and loses its values."""
+    """The board is reset, also while its port is unplugged, and loses its values."""
     required = rig.row('after a reset all wanted settings are back within 1 s')
+    in_use = rig.row(_IN_USE)
     with _Tunable(rig) as car:
         wanted = {1: 7.5, 2: 250}
         _set(gain=7.5, ramp=250)
@@ -101,6 +107,15 @@ def resets(rig: Rig) -> None:
             car.reset()
             required.wait(lambda: car.values == wanted, 'all are back')
             rig.in_time(required, began, time.monotonic(), _BACK, 'all are back')
+        for _ in rig.tries(*range(3)):
+            rig.car_line.unplug()
+            car.values = dict(_DEFAULTS)
+            in_use.wait(lambda: rig.next_report('arduino')[2]['settings unconfirmed']
+                        == 'gain=7.5, ramp=250', 'none is told as confirmed')
+            rig.car_line.plug()
+            first = required.wait(lambda: rig.car.beats and rig.car.first, 'the port is opened')
+            required.wait(lambda: car.values == wanted, 'all are back')
+            rig.in_time(required, first.t, time.monotonic(), _BACK, 'all are back')
 
 
 def calibrates(rig: Rig) -> None:
@@ -121,6 +136,35 @@ def calibrates(rig: Rig) -> None:
             rig.car.talks = True
 
 
+def dragged(rig: Rig) -> None:
+    """A slider is dragged: each value is set as soon as the one before is answered."""
+    limited = rig.row('at most 20 frames with settings in any second')
+    in_time = rig.row('SPEED 0 within speed_timeout + 50 ms of the last command')
+    ended = threading.Event()
+
+    def drag() -> None:
+        for number in itertools.count():
+            _set(gain=number % 100 / 10, ramp=number % 1000)
+            if ended.is_set():
+                return
+
+    with _Tunable(rig):
+        slider = threading.Thread(target=drag)
+        slider.start()
+        try:
+            for speed in range(301, 306):
+                rig.robot.command('speed', speed)
+                packet = in_time.wait(lambda: rig.car.packet(codec.SPEED, speed), 'the speed')
+                stop = in_time.wait(lambda: rig.car.stop_after(packet), 'SPEED 0')
+                rig.in_time(in_time, packet.t, stop.t, SPEED_TIMEOUT + _STOP_DELAY, 'no stop')
+        finally:
+            ended.set()
+            slider.join()
+    times = [packet.t for packet in rig.car.packets if packet.type == _SETTING]
+    for first, beyond in zip(times, times[_MOST:]):
+        limited.check(beyond - first > _WINDOW, f'{_MOST + 1} in {beyond - first:.2f} s')
+
+
 def no_rows(rig: Rig) -> None:
     """A board sends settings that no row describes."""
     required = rig.row(_NONE)
@@ -132,4 +176,4 @@ def no_rows(rig: Rig) -> None:
         required.check(not sent, f'{sent[:2]} were sent')
 
 
-SERIAL = confirmed, resets, calibrates
+SERIAL = confirmed, resets, calibrates, dragged

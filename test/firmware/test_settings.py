@@ -8,12 +8,13 @@ import pytest
 from by_definition import ANNOUNCEMENT, arduino_at, mcu_at, mcu_frame
 from waiting import again_if_stalled
 
-from board_ends import IMU, MCU_SETTING, SETTING, SPEED, STEERING, TICKS, car_end, packet
+from board_ends import (
+    HEARTBEAT, IMU, MCU_SETTING, SETTING, SPEED, STEERING, TICKS, car_end, packet)
 from compilers import ON_THE_AVR, PROTOCOL, run
 from emulated_board import FIRMWARE
 from serial_communication.framing.announcement import read_announcement
 from serial_communication.framing.settings import read_settings
-from wheel import hold, response, rise, set_to, target
+from wheel import STEP, hold, response, rise, set_to, speeds, target
 
 NUMBERS = [1, 2, 3, 4, 5, 200]      # those of library_cases.cpp, in the order of their table
 
@@ -144,6 +145,21 @@ def test_the_motor_stops_without_heartbeats_and_waits_for_a_new_target(firmware_
         assert car.board.history('motor_pwm') == known
         hold(car, target(8), 1)
         assert car.board.history('motor_pwm') != known
+
+
+def test_after_a_packet_that_was_cut_anywhere_the_next_setting_is_used(firmware_build):
+    """As an unplugged cable cuts one: what follows it is lost with it, and no more."""
+    with car_end(firmware_build, image='Tuning.elf') as car:
+        whole = packet(SETTING, struct.pack('<Bf', 1, 17.3))
+        for end in range(1, len(whole)):
+            car.port.write(whole[:end] + packet(HEARTBEAT))
+            set_to(car, 'f', 1, 20 + end)
+        wanted = target(STEP)
+        for end in range(1, len(wanted)):
+            car.port.write(wanted[:end] + packet(HEARTBEAT))
+            hold(car, wanted, 0.5)
+            assert speeds(car)[-1] > 0
+            assert stops_in_time(car) > 0
 
 
 def test_the_ramp_of_the_car_delays_a_rise_and_no_stop(car):

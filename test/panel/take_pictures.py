@@ -31,6 +31,17 @@ WIDTH, HEIGHT = 1180, 1000   # of the page: its text can still be read at the wi
 SCENES, PACE = 20, 0.5      # pictures of the animation, and s from one to the next
 COLUMNS, ROWS = 100, 34  # of the terminal
 SPEED, STEERING = 300, 1650
+PHONE = 390, 560         # of its page, less than its screen
+GAINS = '''
+arduino:
+  settings:
+    kp: {setting: 1, layout: "<f", minimum: 0, maximum: 200, unit: PWM/(turn/s),
+         description: proportional gain}
+    ki: {setting: 2, layout: "<f", minimum: 0, maximum: 1000, unit: PWM/turn,
+         description: integral gain}
+    kd: {setting: 3, layout: "<f", minimum: 0, maximum: 20, unit: PWM/(turn/s^2),
+         description: derivative gain}
+'''
 
 _TERMINAL = '''<style>
   body { margin: 0; background: #14171b; color: #d7dce2; width: max-content;
@@ -198,6 +209,32 @@ def take_faulty(browser, folder, out):
         save(browser.picture('#card-wire'), out / 'panel_wire.png')
 
 
+def take_settings(browser, folder, out):
+    """Take the forms of settings on a phone."""
+    line = Line(str(folder / 'tunable')).plug()
+    rows = folder / 'rows.yaml'
+    rows.write_text(GAINS)
+    with contextlib.ExitStack() as stack:
+        stack.callback(line.unplug)
+        stack.enter_context(running(program('simulator'), 'arduino', '--port', line.far,
+                                    '--config', str(rows), '--announce'))
+        bridge = Bridge(parameters={'arduino/port': line.near,
+                                    'settings': {'arduino': {'kp': 40.0, 'ki': 200.0}}})
+        stack.callback(bridge.end)
+        panel = panel_helpers.Panel('--control')
+        stack.callback(panel.end)
+        browser.resize(*PHONE)
+        browser.open(panel.url)
+        browser.wait(lambda page: page.texts('.board-value') == ['40', '200', '0'],
+                     'the board has them', 60)
+        browser.script("[...document.querySelectorAll('.tabs button')]"
+                       ".find((each) => each.textContent === 'Commands').click();"
+                       "document.querySelector('[data-service*=ki]')"
+                       ".scrollIntoView({block: 'center'})")
+        browser.wait(lambda page: page.all('[data-service*=settings] button:enabled'), 'commands')
+        save(browser.picture(), out / 'panel_settings.png')
+
+
 def take_stamps(browser, folder, out):
     """Take the picture of stamps."""
     line = Line(str(folder / 'stamps')).plug()
@@ -222,6 +259,7 @@ def main():
                 square_picture.picture(*square_picture.measure()))
             tuning_picture.make(out)
             take_stamps(browser, Path(folder), out)
+            take_settings(browser, Path(folder), out)
             take_intact(browser, Path(folder), out)
             take_faulty(browser, Path(folder), out)
             take_rviz(out)

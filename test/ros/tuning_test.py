@@ -7,6 +7,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 import unittest
@@ -21,6 +22,7 @@ from boards import PACKAGE, PATIENCE, again_if_stalled, own_folder, until
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 PAGE = os.path.join(ROOT, 'doc', 'tuning.md')
 SKETCH = os.path.join(ROOT, 'firmware', 'protocol', 'examples', 'Tuning', 'Tuning.ino')
+WANTED = f'/{PACKAGE}/settings'
 STEP = 8.0
 BACKGROUND = 'rosrun serial_communication avr_board', 'roslaunch', 'rostopic pub'
 
@@ -30,11 +32,15 @@ def read(path):
         return file.read()
 
 
+def blocks(language):
+    """The blocks of the page that this test runs."""
+    return re.findall(r'^<!-- run by: scripts/test ros -->\n```%s\n((?:.*\n)*?)```$' % language,
+                      read(PAGE), re.M)
+
+
 def commands():
     """The lines of the page that this test runs."""
-    blocks = re.findall(r'^<!-- run by: scripts/test ros -->\n```sh\n((?:.*\n)*?)```$', read(PAGE),
-                        re.M)
-    return [line for block in blocks for line in block.splitlines()]
+    return [line for block in blocks('sh') for line in block.splitlines()]
 
 
 class Tuning(unittest.TestCase):
@@ -44,6 +50,8 @@ class Tuning(unittest.TestCase):
         self.folder = own_folder()
         self.addCleanup(shutil.rmtree, self.folder)
         self.build = build_firmware()
+        if rospy.has_param(WANTED):
+            rospy.delete_param(WANTED)      # of the test before
         self.speeds, self.target = [], 0.0
         self.ended = threading.Event()
         self.addCleanup(self.ended.set)
@@ -51,16 +59,18 @@ class Tuning(unittest.TestCase):
                                  lambda message: self.speeds.append(message.data))
         self.addCleanup(speed.unregister)
 
-    def run_line(self, line):
-        for shown, here in (
+    def run_line(self, line, shown=None):
+        """Run a command of the page until it succeeds, and shows this; return what it shows."""
+        for there, here in (
                 ('$PWD/build', self.build), ('build/sketches', self.build + '/sketches'),
                 ('/tmp/wheel', self.folder + '/wheel')):
-            line = line.replace(shown, here)
+            line = line.replace(there, here)
         if ' avr_board ' in line:
             line += f' --control {self.folder}/control'
         if line.startswith(BACKGROUND):
-            process = subprocess.Popen(['bash', '-c', 'exec ' + line], start_new_session=True,
-                                       stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            process = subprocess.Popen(
+                ['bash', '-c', 'exec ' + line], start_new_session=True, cwd=self.folder,
+                stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             self.addCleanup(process.wait, PATIENCE)
             self.addCleanup(os.killpg, process.pid, signal.SIGINT)
             return ''
@@ -69,9 +79,11 @@ class Tuning(unittest.TestCase):
 
         def succeeds():     # again if the settings are not announced yet, as a reader does
             done[:] = [subprocess.run(['bash', '-c', patient + line], stdout=subprocess.PIPE,
-                                      stderr=subprocess.STDOUT, encoding='utf-8')]
-            return done[0].returncode == 0
-        until(succeeds, f'{line} succeeds', 8 * PATIENCE)
+                                      stderr=subprocess.STDOUT, encoding='utf-8',
+                                      cwd=self.folder)]
+            return done[0].returncode == 0 and shown in (None, done[0].stdout.replace(
+                self.folder, '/tmp'))
+        until(succeeds, f'{line} succeeds; it shows {shown}', 8 * PATIENCE)
         return done[0].stdout
 
     def emulated(self):
@@ -130,6 +142,18 @@ class Tuning(unittest.TestCase):
         self.assertRegex(used, r"'kd': 0\.0.*'ki': 200\.0.*'kp': 40\.0")
         self.assertIn('ki: 200.0', wanted)
         self.assertIn('kp: 40.0', wanted)
+
+    def test_the_transcript_is_what_a_run_shows(self):
+        terminal, = blocks('console')
+        session, = blocks('pycon')
+        for command, shown in re.findall(r'^\$ (.*)\n((?:[^$].*\n)*)', terminal, re.M):
+            self.run_line(command.rstrip(' &'), shown)
+        path = os.path.join(self.folder, 'session')
+        with open(path, 'w') as file:
+            file.write(session)
+        done = subprocess.run([sys.executable, '-m', 'doctest', path], timeout=8 * PATIENCE,
+                              stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding='utf-8')
+        self.assertEqual((done.returncode, done.stdout), (0, ''))
 
     def test_the_page_has_the_list_of_the_sketch(self):
         sketch = read(SKETCH)
