@@ -174,6 +174,7 @@ class Board {
                             [this](double low) { mcu_.hold_scl(low != 0); });
     world_->values.variable("baud_error", [this] { return 100 * mcu_.baud_error(); },
                             [this](double percent) { mcu_.set_baud_error(percent / 100); });
+    world_->values.variable("line_first", &line_first_);
     printf("avr_emulator: %s on %s\n", options.elf.c_str(), serial_.name().c_str());
     fflush(stdout);
   }
@@ -185,6 +186,11 @@ class Board {
     int status = 0;
     while (!stop_requested) {
       if (mcu_.has_bootloader()) act_as_adapter();
+      if (line_first_ != 0 && mcu_.uart_backlog() == 0) {
+        serve(kSlice);
+        origin_ = clock_seconds(CLOCK_MONOTONIC) - mcu_.seconds();
+        continue;
+      }
       if (!mcu_.run_until(mcu_.cycles() + uint64_t(kSlice * mcu_.frequency()))) {
         if (!mcu_.has_bootloader()) {
           fprintf(stderr, "avr_emulator: the program stopped at %.6f s\n", mcu_.seconds());
@@ -217,24 +223,27 @@ class Board {
     if (baud != 0) mcu_.set_baud(baud);
   }
 
+  // Waits for at most so many seconds, and handles what arrives meanwhile.
+  void serve(double left) {
+    timespec timeout = {0, left > 0 ? long(left * 1e9) : 0};
+    descriptors_.clear();
+    const bool read_serial = serial_.descriptor() >= 0 && mcu_.uart_backlog() < kWireBacklog;
+    if (read_serial) descriptors_.push_back(pollfd{serial_.descriptor(), POLLIN, 0});
+    if (control_) control_->add_to(descriptors_);
+    if (ppoll(descriptors_.data(), descriptors_.size(), &timeout, nullptr) <= 0) return;
+    if (read_serial && descriptors_[0].revents != 0) {
+      uint8_t bytes[kWireBacklog];
+      mcu_.uart_receive(bytes, serial_.read(bytes, sizeof bytes));
+    }
+    if (control_) {
+      for (size_t i = read_serial ? 1 : 0; i < descriptors_.size(); ++i) control_->handle(descriptors_[i]);
+    }
+  }
+
   void wait_for_wall_clock() {
     for (;;) {
       const double deadline = origin_ + mcu_.seconds();
-      const double left = deadline - clock_seconds(CLOCK_MONOTONIC);
-      timespec timeout = {0, left > 0 ? long(left * 1e9) : 0};
-      descriptors_.clear();
-      const bool read_serial = serial_.descriptor() >= 0 && mcu_.uart_backlog() < kWireBacklog;
-      if (read_serial) descriptors_.push_back(pollfd{serial_.descriptor(), POLLIN, 0});
-      if (control_) control_->add_to(descriptors_);
-      if (ppoll(descriptors_.data(), descriptors_.size(), &timeout, nullptr) > 0) {
-        if (read_serial && descriptors_[0].revents != 0) {
-          uint8_t bytes[kWireBacklog];
-          mcu_.uart_receive(bytes, serial_.read(bytes, sizeof bytes));
-        }
-        if (control_) {
-          for (size_t i = read_serial ? 1 : 0; i < descriptors_.size(); ++i) control_->handle(descriptors_[i]);
-        }
-      }
+      serve(deadline - clock_seconds(CLOCK_MONOTONIC));
       const double late = clock_seconds(CLOCK_MONOTONIC) - deadline;
       if (late > kCatchUp) {
         origin_ += late;
@@ -332,6 +341,7 @@ class Board {
   double wall_start_ = 0;
   double origin_ = 0;  // the wall clock at emulated second 0
   double left_out_ = 0;
+  double line_first_ = 0;  // 1: the emulated clock stands while no byte waits on the line to the board
 };
 
 }  // namespace

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from board_ends import CMD_VEL, ERROR, HEARTBEAT, ODOM, Car, packet
 from emulated_board import EmulatedBoard
 
-AHEAD = 3600              # bytes, 0.3 s of the line: so long may this computer be busy elsewhere
+AHEAD = 600               # bytes on the line, 0.05 s
 ALONG, ROUND = 0.3, 1.2   # m/s and rad/s of a square
 
 
@@ -27,19 +27,21 @@ def cmd_vel(ahead, turn):
 class Base(Car):
     """Its link, which is kept full of heartbeats while it is driven.
 
-    `odometry` has the values of the latest message: x, y, yaw, ahead, turn.
+    `odometry` has the values of the latest message: x, y, yaw, ahead, turn; `new` has all messages
+    of the latest update.
     """
 
     def __init__(self, board):
         super().__init__(board)
         self.odometry = ()
+        self.new = []
         self._sent = -int(board.get('rx_bytes'))     # bytes, since this began
 
     def update(self):
         """Read what has arrived; texts are kept."""
-        found = self.read(ODOM)
-        if found:
-            self.odometry = struct.unpack('<5f', found[-1])
+        self.new = [struct.unpack('<5f', data) for data in self.read(ODOM)]
+        if self.new:
+            self.odometry = self.new[-1]
         self.packets = [(kind, data) for kind, data in self.packets if kind <= ERROR]
         return self.odometry
 
@@ -60,15 +62,26 @@ class Base(Car):
         """Send a command for as long as heartbeats are sent, and read."""
         self.beat(cmd_vel(ahead, turn))
 
+    def beat_until(self, condition, seconds):
+        """Wait for a condition that sends heartbeats; the board's clock stands until they come."""
+        self.board.set('line_first', 1)
+        try:
+            self.board.wait_until(condition, seconds)
+        finally:
+            self.board.set('line_first', 0)
+
     def drive_until(self, condition, ahead, turn=0.0, seconds=10):
+        """Send a command, and repeat it until a condition holds."""
         def step():
             self.drive(ahead, turn)
             return condition()
-        self.board.wait_until(step, seconds)
+        self.write(cmd_vel(ahead, turn))     # even if the line has enough to do
+        self.beat_until(step, seconds)
 
     def truth(self):
         """Where the base is in its world."""
-        return Pose(self.board.get('x'), self.board.get('y'), math.radians(self.board.get('yaw')))
+        x, y, yaw = self.board.at_once('x', 'y', 'yaw')
+        return Pose(x, y, math.radians(yaw))
 
     def believed(self):
         """Where the odometry has it."""
@@ -108,7 +121,7 @@ class Base(Car):
                 last = self.odometry
                 seen()
             return rest <= 0
-        self.board.wait_until(arrived, 60)
+        self.beat_until(arrived, 60)
         self.stand()
 
 

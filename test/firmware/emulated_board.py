@@ -106,6 +106,9 @@ class EmulatedBoard:
     def ask(self, line):
         """Sends one line to the control channel and returns the answer."""
         self._socket.sendall(line.encode('ascii') + b'\n')
+        return self._answer(line)
+
+    def _answer(self, line):
         while b'\n' not in self._pending:
             received = self._socket.recv(4096)
             if not received:
@@ -120,6 +123,12 @@ class EmulatedBoard:
     def get(self, name):
         """The value of that name, as a float."""
         return float(self.ask('get ' + name))
+
+    def at_once(self, *names):
+        """The values of these names at one moment of the board's."""
+        first, *others = ('get ' + name for name in names)
+        return [float(self.ask('\n'.join([first, *others])))] + [
+            float(self._answer(other)) for other in others]
 
     def set(self, name, value):
         self.ask('set %s %.10g' % (name, value))

@@ -9,7 +9,7 @@ from driven_base import base_end, cmd_vel
 from waiting import again_if_stalled
 
 WHEELS = 'left', 'right'
-TRACK = 0.16
+TRACK, RADIUS = 0.16, 0.0325     # m
 
 
 @pytest.fixture
@@ -28,15 +28,30 @@ def duties(base):
 
 
 def drives_at(base, ahead, turn, left, right):
-    """Drive until both wheels have had these speeds for 0.2 s, and the odometry says so."""
-    since = None
+    """Drive until the wheels have had these speeds for 0.3 s, and each message of odometry so.
+
+    Speeds are turns in a time of the board's world: how often this computer looks has no influence.
+    """
+    board, wanted = base.board, (left, right)
+    snapshot = ('time', 'left_turns', 'right_turns')
+    before = board.at_once(*snapshot)
+    told = []
 
     def steady():
-        nonlocal since
-        right_now = speeds(base) == pytest.approx([left, right], abs=0.012) and base.odometry[
-            3:] == pytest.approx(((left + right) / 2, (right - left) / TRACK), abs=0.2)
-        since = (since or base.board.time) if right_now else None
-        return since and base.board.time > since + 0.2
+        nonlocal before
+        told.extend(base.new)
+        now = board.at_once(*snapshot)
+        seconds = now[0] - before[0]
+        if seconds < 0.3:
+            return False
+        found = [(after - earlier) * 2 * math.pi * RADIUS / seconds
+                 for earlier, after in zip(before[1:], now[1:])]
+        agreed = len(told) > 10 and all(      # one edge of an encoder is 0.1 rad/s
+            each[3] == pytest.approx((left + right) / 2, abs=0.03)
+            and each[4] == pytest.approx((right - left) / TRACK, abs=0.25) for each in told)
+        before = now
+        told.clear()
+        return agreed and found == pytest.approx(wanted, abs=0.003)
     base.drive_until(steady, ahead, turn, seconds=20)
 
 
@@ -57,10 +72,10 @@ def test_the_odometry_of_a_square_is_where_the_base_is(base):
     home = math.hypot(true.x, true.y)
     print('after a square of 4 x 0.5 m: odometry off by %.2f mm and %.3f degrees, the base %.1f mm '
           'from its start' % (off * 1000, turned, home * 1000))
-    assert off < 0.002 and abs(turned) < 0.2
+    assert off < 0.001 and abs(turned) < 0.2
     assert true.yaw > 6.2     # how well it closes, depends on how soon this computer answers
     turns = sum(base.board.get(wheel + '_turns') for wheel in WHEELS) / 2
-    assert turns * 2 * math.pi * 0.0325 > 1.99
+    assert turns * 2 * math.pi * RADIUS > 1.99
 
 
 def test_odometry_comes_50_times_a_second_each_with_its_time(base):
@@ -91,7 +106,7 @@ def last_command(base, ahead):
         if not arrived and board.get('rx_bytes') >= number:
             arrived.append(board.time)
         return arrived and board.time > arrived[0] + 0.8
-    board.wait_until(over, 3)
+    base.beat_until(over, 3)
     return began, arrived[0]
 
 
@@ -104,7 +119,7 @@ def test_motors_are_off_30_ms_after_the_last_heartbeat(base):
         assert 0.029 <= off - board.get('last_rx_time') <= 0.033
     # Heartbeats alone do not turn them on again.
     end = board.time + 0.3
-    board.wait_until(lambda: base.beat() or board.time > end, 2)
+    base.beat_until(lambda: base.beat() or board.time > end, 2)
     assert duties(base) == [0, 0]
     board.wait_until(lambda: max(map(abs, speeds(base))) < 1e-3, 2)
     drives_at(base, 0.2, 0.0, 0.2, 0.2)

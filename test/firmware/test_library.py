@@ -69,6 +69,24 @@ def size_in_the_ide(sketch, firmware_build, tmp_path):
     return text + data, data + bss
 
 
+def test_the_page_has_the_sizes_of_the_images(firmware_build):
+    """With the compiler and the core that the page names."""
+    page = read(os.path.join(FIRMWARE, 'README.md'))
+    version = subprocess.run(['avr-gcc', '-dumpversion'], check=True, stdout=subprocess.PIPE,
+                             universal_newlines=True).stdout.strip()
+    core = re.search('^version=(.*)', read(CORE + '/platform.txt'), re.M).group(1)
+    if f'avr-gcc {version} and arduino-core-avr {core} ' not in page:
+        pytest.skip(f'this is avr-gcc {version} with core {core}')
+    rows = re.findall(r'^\| `(\w+)`(?: \(AVR\))? \| (\d+) \| (\d+) \|', page, re.M)
+    assert len(rows) == 11
+    for image, flash, ram in rows:
+        path = os.path.join(firmware_build, image + '.elf')
+        table = subprocess.run(['avr-size', path], check=True, stdout=subprocess.PIPE,
+                               universal_newlines=True).stdout
+        text, data, bss = map(int, table.splitlines()[1].split()[:3])
+        assert (int(flash), int(ram)) == (text + data, data + bss), image
+
+
 @pytest.mark.parametrize('path', EXAMPLES, ids=name_of)
 def test_example_builds_as_in_the_ide(path, firmware_build, tmp_path):
     flash, ram = size_in_the_ide(read(path), firmware_build, tmp_path)

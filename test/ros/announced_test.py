@@ -12,6 +12,7 @@ import rospy
 import rostest
 from std_msgs.msg import Bool, Float32, UInt16
 from std_srvs.srv import SetBool, Trigger
+from tf2_msgs.msg import TFMessage
 
 from boards import (PACKAGE, BoardsTest, Bridge, BusBoard, CarBoard, Diagnostics, Line, Rosout,
                     SensorBoard, Topic, command_topic, own_folder, service, until)
@@ -28,6 +29,9 @@ LEVEL = 'level: {type: 33, ros_type: std_msgs/UInt16, layout: "<H", fields: [dat
 GRIPPER = ('gripper: {type: 48, direction: to_board, ros_type: std_msgs/UInt16, layout: "<H", '
            'fields: [data]}\n')
 FIRMWARE = 'firmware: nano_car 1.1.0\n'
+PLACE = ('place: {type: 34, ros_type: nav_msgs/Odometry, layout: "<f", fields: '
+         '[pose.pose.position.x], constants: {pose.pose.orientation.w: 1}, frame_id: start, '
+         'child_frame_id: wheels}\n')
 PUMP = ('pump: {cmd2: 0x40, srv_type: std_srvs/SetBool, '
         'request: {layout: "<?", fields: [data]}}\n')
 TANK = ('tank: {cmd2: 0x41, ros_type: std_msgs/Float32, period: 0.05, '
@@ -71,7 +75,7 @@ class AnnouncedTest(unittest.TestCase):
         cls.bridge = Bridge(parameters={
             **{f'{link}/port': line.near for link, line in cls.lines.items()},
             'bus/environment_period': 0.05, 'bus/announcements': True,
-            'arduino/speed_timeout': 0.0,
+            'arduino/speed_timeout': 0.0, 'publish_tf': True,
             'arduino/messages': {'mine': dict(row, type=40), 'same': dict(row, type=41)}})
         cls.rosout, cls.diagnostics = Rosout(), Diagnostics()
         until(lambda: {NODE + 'pump', NODE + 'tank', NODE + 'calibrate_imu'} <= published(),
@@ -212,6 +216,41 @@ class AnnouncedTest(unittest.TestCase):
         self.assertEqual(self.reconnects(), reconnects)
         self.diagnostics.wait_for('arduino', lambda status: status.keys['announced'] == '',
                                   'no row')
+
+    def test_a_row_that_went_sends_nothing_more_on_tf(self):
+        """The board is exchanged: the next one means something else by the type, or nothing."""
+        frames, ticks = Topic('/tf', TFMessage, wait=False), self.topic('ticks', Ticks)
+        self.addCleanup(frames.close)
+
+        def places():
+            return [each.transform.translation.x for message in frames.messages
+                    for each in message.transforms if each.child_frame_id == 'wheels']
+
+        def sent(place, number):
+            """Send a place, and then ticks until they arrive."""
+            self.send(34, struct.pack('<f', place))()
+            ticks.first(lambda message: message.value == number,
+                        lambda: self.car.say(arduino.Ticks(number)))
+
+        def appears(place):
+            until(lambda: place in places(), 'the place is on /tf',
+                  doing=self.send(34, struct.pack('<f', place)))
+
+        self.announce(PLACE)
+        appears(0.5)
+        self.announce(LEVEL)
+        sent(1.5, 21)
+        self.announce(PLACE)
+        appears(2.5)
+        self.unplug('arduino')
+        self.lines['arduino'].plug()
+        self.car.forget()
+        self.car.wait_for_heartbeats(1)
+        sent(3.5, 22)
+        chunk = chunks_of(PLACE.encode(), 60)[1]     # any one confirms all
+        until(lambda: 4.5 in places(), 'the place is on /tf again', doing=lambda: (
+            self.car.say(chunk), self.send(34, struct.pack('<f', 4.5))()))
+        self.assertEqual(set(places()), {0.5, 2.5, 4.5})
 
     def test_after_a_reconnect_commands_wait_until_the_board_announces_them_again(self):
         self.announce(GRIPPER)
