@@ -31,7 +31,8 @@ _Point = Tuple[float, float]     # board time, arrival
 class BoardClock:
     """The clock of one board. All times are in s, those of ours of one monotonic clock.
 
-    A point costs a constant time on average: it enters the hull once and leaves it once.
+    A point costs a constant time on average: each time the line is drawn, the point that was
+    delayed least since the last time enters the hull, and each leaves it once.
     """
 
     def __init__(self) -> None:
@@ -40,7 +41,8 @@ class BoardClock:
     def reset(self) -> None:
         """Forget all points: the port was opened, the bridge stalled, or the board began anew."""
         self._hull: List[_Point] = []
-        self._new: List[_Point] = []               # points that are not in the hull yet
+        self._least: _Point = (0.0, 0.0)           # delayed least since the line was drawn
+        self._least_delay = inf
         self._points = 0
         self._is_known = False
         self._ticks = 0                            # of the newest point
@@ -64,36 +66,43 @@ class BoardClock:
             ticks: µs, modulo 2 ** 32.
             arrival: when the frame began on the wire at the latest.
         """
-        elapsed = arrival - self._newest[1]
+        board_before, arrival_before = self._newest
+        elapsed = arrival - arrival_before
         step = ((ticks - self._ticks + _HALF) % (2 * _HALF) - _HALF) / 1e6
         if not (elapsed <= WINDOW and step > -MOST_OLDER
                 and abs(step - elapsed) <= MOST_JUMP + MOST_DRIFT * elapsed):
             self.reset()       # all points are old, or the clock jumped
-            step = 0.0
-        board = self._newest[0] + step
+            board_before = step = 0.0
+        board = board_before + step
         if not self._is_known:
             if step >= 0.0:
-                self._add(ticks, (board, arrival))
+                self._add(ticks, (board, arrival), 0.0)
             if not self._is_known:
                 return None
             step = inf         # there is no time before this one
         at = self._on_line[1] + self._slope * (board - self._on_line[0])
-        if at > arrival + MOST_EARLY:
+        delay = arrival - at
+        if delay < -MOST_EARLY:
             self.reset()
             return None
         if 0.0 <= step < SMOOTHED:
             at += (self._returned + self._slope * step - at) * (1 - step / SMOOTHED)
-        at = min(at, arrival)
+        if at > arrival:
+            at = arrival
         if step >= 0.0:
-            self._add(ticks, (board, arrival))
-            at = self._returned = max(at, self._returned)
+            if at < self._returned:
+                at = self._returned
+            self._returned = at
+            self._add(ticks, (board, arrival), delay)
         return at
 
-    def _add(self, ticks: int, point: _Point) -> None:
-        """Add the newest point; the hull gets several at once, which takes less time."""
+    def _add(self, ticks: int, point: _Point, delay: float) -> None:
+        """Add the newest point."""
         self._ticks = ticks
         self._newest = point
-        self._new.append(point)
+        if delay < self._least_delay:
+            self._least_delay = delay
+            self._least = point
         if point[0] >= self._drawn_until:
             self._draw_line()
 
@@ -104,11 +113,10 @@ class BoardClock:
         of the nearest permitted slope is used.
         """
         hull = self._hull
-        for point in self._new:
-            _add_to_hull(hull, point)
-        self._points += len(self._new)
-        self._new.clear()
-        board = hull[-1][0]
+        _add_to_hull(hull, self._least)
+        self._least_delay = inf
+        self._points += 1
+        board = self._newest[0]
         while len(hull) > 2 and hull[1][0] < board - WINDOW:     # its edge is below no point
             del hull[0]
         if self._points < LEAST_POINTS or board < LEAST_SPAN:
