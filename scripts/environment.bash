@@ -15,11 +15,11 @@ packages() {
 run    | ros-core-python-dev rosbash catkin          | ros-noetic-ros-core
 run    | python3-tf2-ros python3-diagnostic-updater  | ros-noetic-tf2-ros ros-noetic-diagnostic-updater
 run    | python3-dynamic-reconfigure                 | ros-noetic-dynamic-reconfigure
+# With the package.xml by which rosrun finds dynparam:
+run    | libdynamic-reconfigure-config-init-mutex-dev |
 run    | python3-serial socat cmake make g++         | python3-serial socat cmake make g++
 panel  | python3-tornado python3-qrcode              | python3-tornado python3-qrcode
 test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-noetic-rosbag
-# With the package.xml by which rosrun finds dynparam:
-test   | libdynamic-reconfigure-config-init-mutex-dev |
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
 test   | shellcheck libxml2-utils systemd            | shellcheck libxml2-utils systemd

@@ -26,7 +26,7 @@ _RETURN = 1.0            # s until values are published again after a stall
 _BEFORE, _AFTER = 0.3, 3.0       # s beside a disturbance in which values may be lost
 # Growth at most, in a run of any length and in each hour.
 _GROWTH = {'memory': (1.0, 2.0, 'MB'), 'threads': (3.0, 1.0, ''), 'files': (10.0, 1.0, '')}
-_SETTLING = 300.0        # s until glibc's memory of each thread is filled; a third of a shorter part
+_SETTLING = 300.0        # s until malloc's arenas are filled, or a third of a shorter part
 _POLLS = (DEPTH, b''), (HEIGHT, b''), (codec.ENVIRONMENT, b''), (ANNOUNCE, b'\0')
 
 

@@ -64,6 +64,15 @@ def test_each_wheel_has_its_speed(base, ahead, turn, left, right):
     drives_at(base, ahead, turn, left, right)
 
 
+def test_both_wheels_are_within_5_percent_0_2_s_after_the_command(base):
+    board, names = base.board, ('time', 'left_pwm', 'left_speed', 'right_speed')
+    end, found = board.time + 1, []
+    base.drive_until(lambda: found.append(board.at_once(*names)) or board.time > end, 0.2)
+    began = next(time for time, duty, *_ in found if duty)
+    late = [speed for time, _, *both in found if time > began + 0.2 for speed in both]
+    assert len(late) > 100 and late == pytest.approx([0.2] * len(late), rel=0.05)
+
+
 def test_the_odometry_of_a_square_is_where_the_base_is(base):
     base.drive_square(0.5)
     true, believed = base.truth(), base.believed()

@@ -1,4 +1,5 @@
 """The picture of a square that the emulated base drove, and of its odometry."""
+import itertools
 import math
 import sys
 from pathlib import Path
@@ -44,9 +45,9 @@ def with_track(poses, factor):
 
 
 def line(places, kind):
-    points = ' '.join(f'{_LEFT + _SCALE * x:.1f},{_TOP - _SCALE * y:.1f}'
-                      for x, y, *_ in places)
-    return f'<path class="{kind}" d="M {points}"/>'
+    points = (f'{_LEFT + _SCALE * x:.1f},{_TOP - _SCALE * y:.1f}' for x, y, *_ in places)
+    different = ' '.join(point for point, _ in itertools.groupby(points))
+    return f'<path class="{kind}" d="M {different}"/>'
 
 
 def picture(true, told, base, believed):

@@ -39,6 +39,7 @@ class DiffDriveTest(unittest.TestCase):
         end = cls.board.time + 2 * ANNOUNCED
         until(lambda: cls.commands.get_num_connections() and cls.odometry.publishers
               or cls.board.time > end, 'the base announces', seconds=4 * ANNOUNCED)
+        cls.odometry.first()
 
     @classmethod
     def end(cls):
@@ -102,6 +103,16 @@ class DiffDriveTest(unittest.TestCase):
                       'tf has it')
         self.assertAlmostEqual(found.transform.translation.x, at.x, 9)
         self.assertAlmostEqual(found.transform.rotation.z, turned.z, 6)
+
+    def test_a_setting_of_dynparam_is_used_by_the_sketch(self):
+        def limit(speed):
+            subprocess.check_call(['rosrun', 'dynamic_reconfigure', 'dynparam', 'set',
+                                   f'/{PACKAGE}/settings/arduino', 'max_speed', str(speed)])
+
+        self.addCleanup(limit, 0.5)
+        self.drive_until(lambda: self.is_at(0.3, 0.0), 'it drives', 0.3)
+        limit(0.1)
+        self.drive_until(lambda: self.is_at(0.1, 0.0), 'it drives at its new limit', 0.3)
 
     def test_the_wheels_stop_when_the_publisher_stops(self):
         self.drive_until(lambda: self.is_at(0.3, 0.0), 'it drives', 0.3)
