@@ -64,6 +64,15 @@ def test_each_wheel_has_its_speed(base, ahead, turn, left, right):
     drives_at(base, ahead, turn, left, right)
 
 
+def test_the_emulated_clock_can_wait_for_the_line(base):
+    board = base.board
+    board.set('line_first', 1)
+    began, bytes_before = board.at_once('time', 'rx_bytes')
+    base.port.write(bytes(1152))      # 0.1 s of the line
+    board.wait_until(lambda: board.get('rx_bytes') == bytes_before + 1152, 1)
+    assert board.time - began == pytest.approx(0.1, abs=0.002)
+
+
 def test_both_wheels_are_within_5_percent_0_2_s_after_the_command(base):
     board, names = base.board, ('time', 'left_pwm', 'left_speed', 'right_speed')
     end, found = board.time + 1, []
