@@ -827,9 +827,9 @@ def hold(page, robot):
     until(drives, 'the car drives', doing=press)
 
 
-def wait_until_stopped(robot, page):
-    until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
-    page.wait(lambda page: page.attribute('#pad', 'data-held') is None, 'the hold ends')
+def wait_until_stopped(robot, page, what=''):
+    until(lambda: robot.car.speeds[-1] == 0, f'{what}: the car stops')
+    page.wait(lambda page: page.attribute('#pad', 'data-held') is None, f'{what}: the hold ends')
     count = len(robot.car.speeds)
     page.wait_for_updates(15)
     assert not any(robot.car.speeds[count:])
@@ -892,7 +892,7 @@ def test_whatever_ends_a_hold_stops_the_car(control_page, robot, network):
             hold(control_page, robot)
             with end(control_page):
                 until(lambda: robot.car.speeds[-1] == 0, f'{what}: the car stops')
-            wait_until_stopped(robot, control_page)
+            wait_until_stopped(robot, control_page, what)
             control_page.release()
             return words in control_page.text('#pad-words')     # or it ended before, by a stall
         again_if_stalled(ended)
