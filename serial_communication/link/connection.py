@@ -158,7 +158,7 @@ class Connection:
             if link.DRAINS and self.state is PortState.RECEIVING:
                 wake_at = now
             data = port.read(wake_at - now)
-            # In this order: most of the time that the clock takes is after it has read the time.
+            # The clock after that: what it takes to make its stamp varies, and is not in `now`.
             now = time.monotonic()
             stamp = self._clock()
             stall = self._check_stall(now)

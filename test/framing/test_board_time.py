@@ -198,13 +198,6 @@ def test_the_drift_is_told(ppm):
     assert clock.drift == pytest.approx(ppm, abs=20)
 
 
-def test_one_late_point_changes_no_drift():
-    """Also if all others of the window are on one edge of the hull, which began before it."""
-    clock, board = BoardClock(), Board(drift=0.003)
-    errors_of(clock, board, [*[0.0] * 1500, 0.05, 0.0])
-    assert clock.drift == pytest.approx(3000, abs=20)
-
-
 def test_a_slope_over_one_percent_is_held_there():
     clock = BoardClock()
     errors = errors_of(clock, Board(drift=0.03), take(int(WINDOW / PERIOD), usual()))

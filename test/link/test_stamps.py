@@ -87,6 +87,14 @@ def test_all_packets_of_one_time_have_one_stamp(car):
     assert stamps[3] == pytest.approx(car.now + 0.02)
 
 
+def test_a_clock_that_jumps_within_a_read_has_no_stamp_of_the_time_before(car):
+    car.settle()
+    ticks = arduino.encode(arduino.Ticks(1))
+    stamps = car.read(car.time(1) + ticks + car.time(2, ticks=5) + ticks + ticks, late=0.02)
+    assert stamps[0] < car.now + 0.01
+    assert stamps[1:] == pytest.approx([car.now + 0.02] * 2)
+
+
 def test_the_wire_time_from_the_begin_of_the_frame_to_the_read_is_taken_off(car):
     more = arduino.encode(arduino.Log(1, 'x' * 200))
     late = 10 * DELAY + len(more) * BYTE
