@@ -15,13 +15,14 @@ from lines import Pty
 from waiting import until
 from serial_communication.boards.arduino import wire
 from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.framing.board_time import WINDOW
 from serial_communication.transport.port import Port
 from .child import serve, sleep_until
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'firmware'))
 from emulated_board import EmulatedBoard, build_firmware  # noqa: E402
 
-_LEARN = 2.0       # s after which the board's clock is certainly known
+_LEARN = WINDOW     # s; then the line has all the points that it uses
 
 
 class Adapter:
@@ -78,7 +79,7 @@ def measure(build: str, seconds: float, batch: float) -> Dict[str, List[float]]:
         origin = board.ask('get origin')
         link.start()
         try:
-            until(lambda: len(found) >= (_LEARN + seconds) * 100, 'the car has sent', 60)
+            until(lambda: len(found) >= (_LEARN + seconds) * 100, 'the car has sent', 90)
             has_stalled = board.ask('get origin') != origin
         finally:
             link.stop()

@@ -243,8 +243,8 @@ def stamps(stage: BenchStage, plan: Plan) -> Results:
 
 
 def nano(stage: BenchStage, plan: Plan) -> Results:
-    """Stamps of the emulated Nano, whose line delivers each 1 ms, and behind an adapter that
-    delivers each 16 ms. Without the rounds in which the emulator stalled."""
+    """Stamps of the emulated Nano, from 10 s after its start: its line delivers each 1 ms, and an
+    adapter behind it each 16 ms. Without the rounds in which the emulator stalled."""
     # The board is another computer; its emulator inherits the priority.
     servant = stage.servant('nano', 'nano', priority=5)
 
