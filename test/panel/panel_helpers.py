@@ -157,7 +157,7 @@ class Panel:
 
     def __init__(self, *arguments, port=0, name='panel', environment=None):
         self.node = f'/{name}'
-        self._output = tempfile.TemporaryFile('w+')
+        self._output = tempfile.TemporaryFile('a+')
         self.process = subprocess.Popen(
             [program('panel'), *([] if port is None else ['--port', str(port)]), *arguments,
              *([] if name is None else ['__name:=' + name])],

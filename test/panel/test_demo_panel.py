@@ -32,7 +32,7 @@ class PrintedPanel:
 
 
 def test_the_demo_prints_the_address_of_a_page_that_has_commands():
-    with tempfile.TemporaryFile('w+') as output:
+    with tempfile.TemporaryFile('a+') as output:
         demo = run(output)
 
         def shown(pattern):

@@ -220,7 +220,7 @@ class Launched(unittest.TestCase):
     def setUp(self):
         self.folder = own_folder()
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
-        self.output = tempfile.TemporaryFile('w+')
+        self.output = tempfile.TemporaryFile('a+')
         self.addCleanup(self.output.close)
         self.process = subprocess.Popen(
             ['roslaunch', PACKAGE, 'bridge.launch', 'sim:=avr', 'sim_dir:=' + self.folder],

@@ -71,7 +71,7 @@ class Bridge:
         for key, value in (parameters or {}).items():
             server.setParam('/%s/%s' % (name, key), value)
         self.name = name
-        self._output = tempfile.TemporaryFile('w+')
+        self._output = tempfile.TemporaryFile('a+')     # what is read moves no writer
         self.process = subprocess.Popen(
             list(before) + [program('serial_communication_node'), '__name:=' + name]
             + list(arguments), stdout=self._output if stdout is None else stdout,

@@ -29,7 +29,7 @@ class DiffDriveTest(unittest.TestCase):
     def setUpClass(cls):
         cls.board = EmulatedBoard(build_firmware(), 'diff')
         cls.addClassCleanup(cls.board.close)
-        cls.output = tempfile.TemporaryFile('w+')
+        cls.output = tempfile.TemporaryFile('a+')
         cls.launched = subprocess.Popen(
             ['roslaunch', PACKAGE, 'diff_drive.launch', 'port:=' + cls.board.port],
             stdout=cls.output, stderr=subprocess.STDOUT)

@@ -30,7 +30,7 @@ class Program:
     """A running program."""
 
     def __init__(self, command, environment):
-        self._output = tempfile.TemporaryFile('w+')
+        self._output = tempfile.TemporaryFile('a+')
         self.process = subprocess.Popen([program(command[0]), *command[1:]], env=environment,
                                         stdout=self._output)
 

@@ -60,7 +60,7 @@ class Flashing(unittest.TestCase):
         self.assertIn('avr_board arduino --link /tmp/nano --bootloader ' + BOOTLOADER, board)
         self.board = EmulatedBoard(self.build, 'car', bootloader=BOOTLOADER)
         self.addCleanup(self.board.close)
-        self.output = tempfile.TemporaryFile('w+')
+        self.output = tempfile.TemporaryFile('a+')
         self.addCleanup(self.output.close)
         self.launched = subprocess.Popen(
             ['bash', '-c', 'exec ' + launch.replace('/tmp/nano', self.board.port)],

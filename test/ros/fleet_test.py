@@ -89,7 +89,7 @@ class Fleet(unittest.TestCase):
         cls.robots = [Robot(cls.folder, number) for number in NUMBERS]
         path = launch_file(cls.folder, lambda number: [
             (link + '_port', cls.robots[number - 1].lines[link].near) for link in LINKS])
-        cls.output = tempfile.TemporaryFile('w+')
+        cls.output = tempfile.TemporaryFile('a+')
         cls.process = subprocess.Popen(['roslaunch', path], stdout=cls.output,
                                        stderr=subprocess.STDOUT)
         for robot in cls.robots:

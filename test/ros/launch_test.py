@@ -105,7 +105,7 @@ class Launch(BoardsTest):
 
     def launch(self, *arguments):
         """Run roslaunch serial_communication bridge.launch with these arguments; it is up then."""
-        self.output = tempfile.TemporaryFile('w+')
+        self.output = tempfile.TemporaryFile('a+')
         self.process = subprocess.Popen(['roslaunch', PACKAGE, 'bridge.launch', *arguments],
                                         stdout=self.output, stderr=subprocess.STDOUT)
         wait_for_launch()

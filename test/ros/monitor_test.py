@@ -22,7 +22,7 @@ class Monitor:
     """A monitor that the test starts and ends."""
 
     def __init__(self, *arguments, **environment):
-        self._output = tempfile.TemporaryFile('w+')
+        self._output = tempfile.TemporaryFile('a+')
         self.process = subprocess.Popen(
             [program('monitor'), *arguments], env={**os.environ, **environment},
             stdout=self._output, stderr=subprocess.STDOUT)

@@ -1,5 +1,6 @@
 """The parts of the bench that measure nothing: matching, figures, goals, tables and packets."""
 import subprocess
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -8,6 +9,7 @@ from bench import arguments, report, sections, stage
 from bench.boards import COUNT, arduino_turn, imu_count, mcu_turn
 from processes import StageError
 from serial_communication.boards import description
+from waiting import until
 
 
 def test_a_percentile_is_one_of_the_values():
@@ -118,6 +120,12 @@ def test_an_unknown_commit_is_reported():
         stage.BenchStage('no-such-commit')
 
 
+def sleeps(pid):
+    """Whether all threads of a process do."""
+    return all((task / 'stat').read_text().rsplit(')', 1)[1].split()[0] == 'S'
+               for task in Path(f'/proc/{pid}/task').iterdir())
+
+
 def test_threads_have_their_names_in_the_kernel_and_their_wake_ups_are_counted(tmp_path):
     program = tmp_path / 'program'
     program.write_text('import sys, threading\n'
@@ -130,6 +138,7 @@ def test_threads_have_their_names_in_the_kernel_and_their_wake_ups_are_counted(t
             assert process.stdout.readline() == "['given']\n"
             before = sections.threads_of(process.pid)
             for _ in range(10):
+                until(lambda: sleeps(process.pid))      # else no thread has to be woken
                 process.stdin.write('a line\n')
                 process.stdin.flush()
                 assert process.stdout.readline() == 'read\n'
