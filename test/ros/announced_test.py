@@ -74,6 +74,7 @@ class AnnouncedTest(unittest.TestCase):
         row = {'ros_type': 'std_msgs/Bool', 'layout': '<?', 'fields': ['data']}
         cls.bridge = Bridge(parameters={
             **{f'{link}/port': line.near for link, line in cls.lines.items()},
+            'arduino/network_silence': 0.0,     # no heartbeat is dropped when this test is slow
             'bus/environment_period': 0.05, 'bus/announcements': True,
             'arduino/speed_timeout': 0.0, 'publish_tf': True,
             'arduino/messages': {'mine': dict(row, type=40), 'same': dict(row, type=41)}})

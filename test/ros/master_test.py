@@ -211,7 +211,7 @@ class ReplacedTest(MasterTest):
         self.server = master.server
         self.bridge = self.start_bridge(master=master.uri, parameters={
             'bus/port': self.lines['bus'].near, 'bus/environment_period': 0.2,
-            'arduino/port': self.lines['arduino'].near})
+            'arduino/port': self.lines['arduino'].near, 'arduino/network_silence': 0.0})
         until(lambda: self.is_up(PACKAGE), 'the bridge is up')
         self.announce()
         before = state(self.server, name)

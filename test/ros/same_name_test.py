@@ -51,7 +51,8 @@ class WhileOneRuns(unittest.TestCase):
 
     def setUp(self):
         if self.first is None or not self.first.alive:
-            type(self).first = Bridge(parameters={'arduino/port': self.line.near})
+            type(self).first = Bridge(parameters={
+                'arduino/port': self.line.near, 'arduino/network_silence': 0.0})
         self.bridge = self.first
         self.car.wait_for_heartbeats(50)
         self.master = rosgraph.Master('/same_name_test')
@@ -234,7 +235,7 @@ class SimultaneousStart(unittest.TestCase):
         bridge.wait_for('another node has registered as /twin')
         displace()
         until(lambda: bridge.output().count('another node has registered as /twin') == 2,
-              'it is displaced again')
+              'it is displaced again', 2 * PATIENCE)
         _seconds, status = bridge.end(signal.SIGINT)
         self.assertEqual(status, 0, bridge.output())
         self.assertNotIn('Traceback', bridge.output())
