@@ -277,7 +277,7 @@ def interrupted(rig: Rig) -> None:
     calls = Calls(rig)
     for noise in rig.tries(False, False, True):
         outstanding, behind = calls.start_unanswered(), calls.start('lift')
-        rig.sleep(0.1)
+        rig.sleep(0.5)      # the call of the lift has arrived
         with _dribble(rig) if noise else contextlib.nullcontext():
             # The board answers ECHO only after the motion.
             rig.bus.probe = lambda request: Reaction([(0.2, OK)])
