@@ -68,7 +68,8 @@ class View(unittest.TestCase):
             return {name for name, nodes in master.getSystemState()[1] if '/rviz' in nodes}
         until(lambda: {'/mcu/range_1', '/mcu/range_2', '/tf', '/tf_static'} <= shown(),
               'rviz subscribes', PATIENCE)
-        status, said = self.statuses(self.config, PATIENCE)
+        # rviz has waited for several programs that start one after the other.
+        status, said = self.statuses(self.config, 4 * PATIENCE)
         self.assertEqual(status, 0, said)
         for display in 'Ground', 'Car', 'Attitude', 'Frames', 'Range 1', 'Range 2':
             self.assertIn(f'{display}: Status: Ok', said)
