@@ -277,7 +277,7 @@ def interrupted(rig: Rig) -> None:
     calls = Calls(rig)
     for noise in rig.tries(False, False, True):
         outstanding, behind = calls.start_unanswered(), calls.start('lift')
-        rig.sleep(0.5)      # the call of the lift has arrived
+        rig.sleep(0.2)      # the call of the lift has arrived, and the motion has not timed out
         with _dribble(rig) if noise else contextlib.nullcontext():
             # The board answers ECHO only after the motion.
             rig.bus.probe = lambda request: Reaction([(0.2, OK)])
