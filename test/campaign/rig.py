@@ -147,7 +147,7 @@ class Rig(Stage):
 
         Yields when it was suspended. The car gives no sign of life meanwhile."""
         self.car.quiet_until = float('inf')
-        self.sleep(0.02)            # so that the bridge has read all of it
+        self._wait_for_beat(0.02)   # so that the bridge has read all of it
         self.child_bridge.hold()
         held_at = time.monotonic()
         self.car_line.drain()
@@ -165,6 +165,14 @@ class Rig(Stage):
         until = (since or time.monotonic()) + seconds
         self.sleep(until - time.monotonic())
         self.wait(lambda: self.car.beat_at > until or not self.car_line.plugged, 'a heartbeat')
+
+    def _wait_for_beat(self, seconds: float) -> None:
+        """Wait so long, and then for a heartbeat, so that the next one is not about to be written:
+        if the bridge is suspended just then, it is sent before SPEED 0."""
+        until = time.monotonic() + seconds
+        while time.monotonic() < until or (self.car.beat_at < until and self.car_line.plugged
+                                           and time.monotonic() < until + BEAT_MISSED):
+            time.sleep(0.001)
 
     def sleep(self, seconds: float) -> None:
         """Wait until `clock` has called all that is due in this time."""

@@ -11,7 +11,7 @@ import pytest
 from fake_boards import Board
 from lines import Pty
 
-from serial_communication.boards.arduino import motor
+from serial_communication.boards.arduino import motor, output
 from serial_communication.link import connection
 from serial_communication.transport.port import Port
 
@@ -56,7 +56,8 @@ def this_machine_stalls_no_link(request, monkeypatch):
     """
     if not request.node.get_closest_marker('stalls'):
         monkeypatch.setattr(connection, 'STALL', _NEVER)
-        monkeypatch.setattr(motor, '_STALL', _NEVER)
+        monkeypatch.setattr(motor, 'STALL', _NEVER)
+        monkeypatch.setattr(output, 'STALL', _NEVER)
 
 
 @pytest.fixture

@@ -317,6 +317,20 @@ def test_a_stall_counts_although_the_port_was_closed_or_is_lost_at_its_end(line,
     assert connection.may_be_from_a_stall()
 
 
+def test_a_move_is_not_sent_if_the_bridge_stalls_just_before_its_request_is_written(
+        bus_link, clock, monkeypatch):
+    def encode(request, *arguments, whole=bus.encode_request):
+        if request.cmd2 == bus.LIFT and clock._stopped_at is None:
+            clock._stopped_at = clock() + 15.0
+        return whole(request, *arguments)
+
+    monkeypatch.setattr(bus, 'encode_request', encode)
+    outcome = bus_link.lift(0, 1)
+    assert outcome.message == 'it may have waited while the bridge stalled; nothing was sent'
+    clock.end(bus_link)
+    assert bus_link.environment()[0].success and len(bus_link.board.executed) == 1
+
+
 def test_what_moves_is_not_sent_if_it_was_asked_for_during_a_stall_or_just_after(bus_link, clock):
     link, board = bus_link, bus_link.board
     moves = [lambda: link.lift(0, 1), lambda: link.gimbal(0, 1),

@@ -11,7 +11,7 @@ from ...link.stall import StallWatch
 _REPEAT_PERIOD = 0.05    # s between the repetitions of a stop: the line may lose any of them
 _REPEAT_FOR = 1.0        # s after the first SPEED 0 for which it is repeated
 _EARLY = 0.005           # s by which a repetition may be early, instead of one heartbeat late
-_STALL = 0.5             # s without a run of the heartbeat thread; fixed, whatever speed_timeout is
+STALL = 0.5              # s without a run of the heartbeat thread; fixed, whatever speed_timeout is
 
 
 class Stop(enum.Enum):
@@ -37,7 +37,7 @@ class Motor:
         self._timeout_at = now       # when SPEED 0 is due, if moving
         self._repeat_at = 0.0
         self._repeat_until = float('-inf')
-        self._stalls = StallWatch(_STALL, now)
+        self._stalls = StallWatch(STALL, now)
 
     def sent(self, speed: int, now: float) -> None:
         """This speed was written to an open port."""

@@ -14,12 +14,13 @@ from ...transport.pace import clock
 from ...transport.port import PortBusy, PortError
 from . import wire
 from .calibration import Calibration
-from .motor import Motor, Stop
+from .motor import STALL, Motor, Stop
 
 _MOST_BACKLOG = 0.05     # s of wire time that may wait in the kernel; more: the port is blocked
 _LAST_STOP_TIME = 0.1    # s for the last SPEED 0 to leave the port before it is closed
 _BACKLOG_PERIOD = 0.1    # s between two checks of the backlog
 _CALIBRATES = 'the board calibrates its IMU, which takes minutes'
+_STALLED = 'it may have waited while the bridge stalled; send it again'
 _SPEED_0 = wire.SpeedCommand(0)
 _HEARTBEAT = wire.Heartbeat()
 _HEARTBEAT_PACKET = wire.encode(_HEARTBEAT)
@@ -82,7 +83,7 @@ class CarOutput:
         # A call counts as from a stall sooner than a topic's command, as on the bus.
         if self.motor.ignores_commands(now) or (
                 calibrates and link.connection.may_be_from_a_stall()):
-            return 'it may have waited while the bridge stalled; send it again', 'stall'
+            return _STALLED, 'stall'
         if self.is_held:
             return ('the board is silent, so the other side of the pseudo terminal may hold it '
                     'back', 'silent')
@@ -186,6 +187,7 @@ class CarOutput:
 
         Raises:
             PortBusy, PortError: the packet was not sent, but SPEED 0 may have been.
+            Refused: likewise; the bridge has stalled since `now`, when it was allowed.
         """
         if self.motor.speed_unknown and message != _SPEED_0:
             self._send(_SPEED_0, now)
@@ -198,6 +200,8 @@ class CarOutput:
         packet = wire.encode_raw(message.TYPE, data)
         # After a packet that was cut off, a 0x00 ends the part that the board has received.
         packet = b'\0' + packet if self._cut_off else packet
+        if clock() > now + STALL and message not in (_SPEED_0, _HEARTBEAT):
+            raise Refused(f'{message} refused: {_STALLED}', 'stall')
         self._port.write(packet)
         self._cut_off = False
         if isinstance(message, wire.SpeedCommand):

@@ -7,6 +7,7 @@ from ...link.connection import PortState
 from ...link.link import ERROR, OK, WARN, Link
 from ...link.outcome import NOT_SENT, Outcome
 from ...link.stall import LONGEST_SLEEP, STALL
+from ...transport import pace
 from ...transport.port import Port, PortBusy, PortError
 from . import wire
 from .announcement import AnnouncementReader
@@ -196,6 +197,11 @@ class BusLink(Link):
 
     def _send_request(self, request: wire.Request, now: float) -> None:
         frame = wire.encode_request(request, self.settings.environment_datelen)
+        call = self.master.outstanding_call
+        if call and not call.function.repeatable and self.connection.stalls.stalled_for(
+                pace.clock()):      # since `step` decided that it may be sent
+            self.master.not_sent(STALLED)
+            return
         try:
             self.send(frame, request.cmd1, request.cmd2, request.data, request)
         except PortBusy as error:

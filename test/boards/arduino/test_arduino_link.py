@@ -346,7 +346,7 @@ def stall(monkeypatch):
             skipped[0] += seconds
             del link.port.written[:]
 
-    skipped = [0.0]
+    stall_link.skipped = skipped = [0.0]
     real = heartbeat_module.clock
     for module in (pace, heartbeat_module, link_module, output_module):
         monkeypatch.setattr(module, 'clock', lambda: real() + skipped[0])
@@ -365,6 +365,31 @@ def test_after_a_stall_speed_0_is_sent_first_whichever_thread_runs(
         assert link.port.written[0] == arduino.encode(SpeedCommand(0))
     assert SpeedCommand(300) not in board.messages()
     until(lambda: lines(' s: SPEED 0 is sent first'))
+
+
+@pytest.mark.stalls
+def test_a_command_whose_thread_stalls_just_before_it_is_written_is_not_sent(
+        board, open_link, stall, monkeypatch):
+    link = open_link(STEADY, port=RecordingPort)
+
+    def encode(type_, data, whole=arduino.encode_raw):
+        if data == SpeedCommand(300).pack():
+            stall.skipped[0] += 15.0
+        return whole(type_, data)
+
+    monkeypatch.setattr(arduino, 'encode_raw', encode)
+
+    def reaches_the_write():
+        before = stall.skipped[0]
+        refused = refusal(link.set_speed, 300)
+        assert 'it may have waited while the bridge stalled' in str(refused)
+        return stall.skipped[0] > before
+
+    until(reaches_the_write)
+    link.port.written.clear()
+    until(lambda: len(link.port.written) > 3)
+    assert link.port.written[0] == arduino.encode(SpeedCommand(0))
+    assert SpeedCommand(300) not in board.messages()
 
 
 @pytest.mark.stalls
