@@ -372,12 +372,12 @@ def test_a_command_whose_thread_stalls_just_before_it_is_written_is_not_sent(
         board, open_link, stall, monkeypatch):
     link = open_link(STEADY, port=RecordingPort)
 
-    def encode(type_, data, whole=arduino.encode_raw):
-        if data == SpeedCommand(300).pack():
+    def backlog(whole=link.port.backlog):     # the last that is asked before a command is written
+        if threading.current_thread() is threading.main_thread():
             stall.skipped[0] += 15.0
-        return whole(type_, data)
+        return whole()
 
-    monkeypatch.setattr(arduino, 'encode_raw', encode)
+    monkeypatch.setattr(link.port, 'backlog', backlog)
 
     def reaches_the_write():
         before = stall.skipped[0]
