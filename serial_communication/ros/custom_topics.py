@@ -120,7 +120,8 @@ class ValuePublisher:
         """Publish a message with these values; do nothing once it is closed."""
         with self._lock:
             topic, broadcaster = self._topic, self._broadcaster
-            if topic is None or not (wanted(topic) or broadcaster) or self._fields.lacks(values):
+            if topic is None or not (wanted(topic) or broadcaster and broadcaster.is_wanted) \
+                    or self._fields.lacks(values):
                 return
             message = self._fields.fill(self._message, values)
             if self._has_header:

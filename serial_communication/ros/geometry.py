@@ -43,6 +43,11 @@ class FrameBroadcaster:
         self._frames = parent, child
         self._broadcaster = tf2_ros.TransformBroadcaster()
 
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anything would be published."""
+        return wanted(self._broadcaster.pub_tf)
+
     def send(self, translation: Sequence[float], rotation: Sequence[float],
              stamp: rospy.Time) -> None:
         """Publish it: x y z in m, and a quaternion x y z w of any length but 0.
@@ -50,7 +55,7 @@ class FrameBroadcaster:
         What tf2 would refuse, NaN or infinity, is left out.
         """
         norm = sqrt(sum(part * part for part in rotation))
-        if norm and all(map(isfinite, (norm, *translation))) and wanted(self._broadcaster.pub_tf):
+        if self.is_wanted and norm and all(map(isfinite, (norm, *translation))):
             # tf2 refuses a quaternion whose length is 0.5 % wrong.
             self._broadcaster.sendTransform(transform(
                 *self._frames, translation, [part / norm for part in rotation], stamp))

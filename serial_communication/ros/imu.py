@@ -58,7 +58,7 @@ class ImuTopic:
     @property
     def is_wanted(self) -> bool:
         """Whether anything would be published."""
-        return self._broadcaster is not None or wanted(self._topic)
+        return wanted(self._topic) or bool(self._broadcaster and self._broadcaster.is_wanted)
 
     def publish(self, stamp: rospy.Time, orientation: Sequence[float],
                 rate: Sequence[float] = (0.0, 0.0, 0.0),
