@@ -1,7 +1,6 @@
 """The node, exactly: what happens to its process, and to others that it works with."""
 import contextlib
 import glob
-import itertools
 import json
 import signal
 import termios
@@ -113,16 +112,14 @@ def killed(rig: Rig) -> None:
 
 def ends(rig: Rig) -> None:
     """A signal ends the bridge, twenty times: while the car drives and a call waits for its reply,
-    or while the ports of bus and mcu take no bytes. The last one is left to the caller."""
-    if rig.is_network:
-        return _end(rig, signal.SIGTERM, hang=False)
+    or while the ports of bus and mcu take no bytes. Behind networks once."""
     required = rig.row(_ENDS)
-    for index in itertools.count():
+    for index in range(1 if rig.is_network else 2 * _TRIES):
         _end(rig, _SIGNALS[index % 3], hang=index % 2 == 1)
-        if required.checks >= 3 * _TRIES or index >= 2 * _TRIES:
-            return None
         rig.bus.usual()
         rig.start()
+        if required.checks >= 3 * _TRIES:
+            break
 
 
 def _end(rig: Rig, number: int, hang: bool) -> None:
