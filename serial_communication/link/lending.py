@@ -9,6 +9,7 @@ from .outcome import LOOK, NOT_SENT, TIMEOUT, Outcome, Refused
 
 LONGEST_LOAN = 10.0    # s, from each call
 _LONGEST_NAME = 60     # characters
+STALLED = 'the call may have waited while the bridge stalled; call again'
 _CLOSES_WITHIN = 1.5   # s for the link's thread to take the task and to close the port
 
 Answer = Tuple[bool, str]     # whether it was done; what was done, or an `Outcome.text`: why not
@@ -75,7 +76,7 @@ class Lending:
     def _do(self, task: '_Task') -> Optional[Answer]:
         """Have the link's thread do a task; return None, or why it was not done."""
         if self._may_be_old():
-            return _refused('the call may have waited while the bridge stalled; call again')
+            return _refused(STALLED)
         self._task = task
         self._wake()
         deadline = time.monotonic() + _CLOSES_WITHIN

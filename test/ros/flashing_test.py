@@ -140,7 +140,9 @@ class Flashing(unittest.TestCase):
         for victim in 'avrdude', 'release', 'bridge':
             bridge = self.bridge()
             process = self.start(upload)
-            until(lambda: self.named('avrdude', process), 'avrdude runs', UPLOAD)
+            until(lambda: self.named('avrdude', process) or process.poll() is not None,
+                  'avrdude runs', UPLOAD)
+            self.assertIsNone(process.returncode, process.returncode and process.stdout.read())
             before = self.board.get('rx_bytes')
             until(lambda: self.board.get('rx_bytes') > before + PART, 'it writes', UPLOAD)
             os.kill(bridge if victim == 'bridge' else process.pid if victim == 'release'

@@ -2,7 +2,10 @@
 import pytest
 import rosgraph
 
+from serial_communication.link.lending import STALLED
+from serial_communication.link.outcome import Verdict
 from serial_communication.tools.release import cli
+from serial_communication.tools.watch.calls import Answer
 
 
 @pytest.mark.parametrize('url, host, device', [
@@ -18,3 +21,21 @@ def test_a_device_of_another_machine_is_not_the_one_of_that_name_here(monkeypatc
         return
     with pytest.raises(ValueError, match=f'is a device of {host}, .*: run this there'):
         cli._device('/bridge', 'arduino')
+
+
+def test_a_loan_that_is_refused_after_a_stall_is_asked_for_again(monkeypatch):
+    """Any other refusal is told at once."""
+    stalled = Answer(Verdict.REFUSED, f'not sent: {STALLED}')
+    lent, refused = Answer(Verdict.DONE, 'lent'), Answer(Verdict.REFUSED, 'not now: lift up 2 mm')
+    monkeypatch.setattr(cli, '_AGAIN', 0.0)
+    for answers, why_not in (([stalled, stalled, lent], ''), ([stalled, refused], refused.words),
+                             ([refused], refused.words)):
+        left = list(answers)
+        monkeypatch.setattr(cli, 'call', lambda *_arguments, left=left: left.pop(0))
+        loan = cli._Loan('/bridge/arduino/release', 'me')
+        assert loan.begin() == why_not and left == []
+        left.append(lent)       # it is given back
+        loan.end()
+    monkeypatch.setattr(cli, '_AGAIN_FOR', 0.0)
+    monkeypatch.setattr(cli, 'call', lambda *_arguments: stalled)
+    assert STALLED in cli._Loan('/bridge/arduino/release', 'me').begin()

@@ -23,6 +23,7 @@ import serial
 
 from serial_communication.srv import Release, ReleaseRequest
 
+from ...link.lending import STALLED
 from ...link.outcome import Verdict
 from ...output import prepare_output
 from ...ros.rospy_mends import master_calls
@@ -32,6 +33,7 @@ from ..watch.topics import NODE
 _NOT_LENT, _NOT_STARTED = 125, 127
 _LOAN, _RENEW = 5.0, 1.0    # s
 _GIVE_BACK = 3.0            # s for the bridge to answer; the loan ends anyway
+_AGAIN, _AGAIN_FOR = 0.2, 3.0   # s; while the bridge refuses calls because it stalled
 _PR_SET_PDEATHSIG = 1
 
 _EXAMPLES = """\
@@ -57,10 +59,9 @@ def main(arguments: Optional[List[str]] = None) -> int:
     loan = _Loan(f'{options.node}/{options.link}/release', name)
     command = _Command([word.replace('{port}', device) for word in options.command])
     try:
-        why_not = loan.renew()
+        why_not = loan.begin()
         if why_not:
             return _say(why_not, _NOT_LENT)
-        loan.start()
         return command.run()
     finally:
         loan.end()
@@ -119,8 +120,20 @@ class _Loan:
                       time.monotonic() + 2 * MOST_WAIT)
         return '' if answer.outcome is Verdict.DONE else answer.words
 
-    def start(self) -> None:
-        self._thread.start()
+    def begin(self) -> str:
+        """Borrow the port until `end`; return why it is not lent, or ''.
+
+        Just after a stall the bridge refuses all calls that may have waited meanwhile, so this one
+        is made again.
+        """
+        deadline = time.monotonic() + _AGAIN_FOR
+        why_not = self.renew()
+        while STALLED in why_not and time.monotonic() < deadline:
+            time.sleep(_AGAIN)
+            why_not = self.renew()
+        if not why_not:
+            self._thread.start()
+        return why_not
 
     def end(self) -> None:
         """Give the port back; if the bridge does not answer, the loan ends by itself."""
