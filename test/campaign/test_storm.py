@@ -234,15 +234,20 @@ def test_after_a_disturbance_values_may_be_lost_only_until_the_next_one(rig):
     assert values.publish(15) == [LOST]
 
 
-@pytest.mark.parametrize('growth, violated', [(0.9, []), (1.2, ['no growth: memory'])])
-def test_growth_between_the_halves(rig, monkeypatch, growth, violated):
+@pytest.mark.parametrize('first, second, violated', [
+    ((50, 50.1, 90), (9, 50.9, 50.8), []), ((50, 50.1, 90), (9, 51.2, 60), ['memory']),
+    ((50, 44, 38), (44, 44, 50), []), ((50, 50, 44), (61.5, 61.5, 55.5), ['memory', 'files']),
+    ((50, 50), (), ['memory', 'threads', 'files'])])
+def test_growth_between_the_halves(rig, monkeypatch, first, second, violated):
+    """A closed port has six files less, and a call that is under way has more."""
     rig.child_bridge, now = SimpleNamespace(pid=1), [0.0]
     monkeypatch.setattr(storm_checks.time, 'monotonic', lambda: now[0])
     check = storm_checks.GrowthCheck(rig, 90.0)
-    for now[0], memory in ((10.0, 9.0), (40.0, 50.0), (55.0, 60.0), (70.0, 99.0),
-                           (80.0, 50.0 + growth)):
-        monkeypatch.setattr(storm_checks, 'usage_of', lambda pid: dict.fromkeys(
-            ('memory', 'threads', 'files'), memory))
-        check.measure()
+    for at, values in (0, (9.0,)), (40, first), (70, second):
+        for now[0], value in enumerate(values, at):
+            monkeypatch.setattr(storm_checks, 'usage_of', lambda pid: {
+                'memory': value, 'threads': 9, 'files': value})
+            check.measure()
     check.judge()
-    assert rig.violated == violated and rig.row('no growth: memory').checks == 3
+    assert rig.violated == [f'no growth: {name}' for name in violated]
+    assert rig.row('no growth: memory').checks == len(second) + 1
