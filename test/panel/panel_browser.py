@@ -71,6 +71,11 @@ class Browser:
     def script(self, text, *arguments):
         return self.driver.execute_script(text, *arguments)
 
+    def script_until_done(self, text, *arguments):
+        """Run a script that calls its last argument with its result."""
+        self.driver.set_script_timeout(20)
+        return self.driver.execute_async_script(text, *arguments)
+
     def all(self, selector):
         return self.driver.find_elements(By.CSS_SELECTOR, selector)
 
@@ -126,8 +131,7 @@ class Browser:
 
     def wait_for_updates(self, number):
         """Wait for this number of updates: three frames of the browser each."""
-        self.driver.set_script_timeout(20)
-        self.driver.execute_async_script('''
+        self.script_until_done('''
             let left = arguments[0];
             const next = () => {
                 if (left-- > 0) requestAnimationFrame(next); else arguments[1]();
@@ -264,11 +268,14 @@ class Browser:
         Args:
             count: 2: a double click.
         """
-        x, y = self.script("""
+        self.click_at(*self.script("""
             const element = document.querySelector(arguments[0]);
             element.scrollIntoView({block: 'center'});
             const {left, top, width, height} = element.getBoundingClientRect();
-            return [left + width / 2, top + height / 4];""", selector)
+            return [left + width / 2, top + height / 4];""", selector), count)
+
+    def click_at(self, x, y, count=1):
+        """Click at this place of the window; a `count` of 2 is a double click."""
         for number in range(1, count + 1):
             for what in 'mousePressed', 'mouseReleased':
                 self.driver.execute_cdp_cmd('Input.dispatchMouseEvent', {
