@@ -69,9 +69,9 @@ class BoardClock:
         board_before, arrival_before = self._newest
         elapsed = arrival - arrival_before
         step = ((ticks - self._ticks + _HALF) % (2 * _HALF) - _HALF) / 1e6
-        if not (elapsed <= WINDOW and step > -MOST_OLDER
-                and abs(step - elapsed) <= MOST_JUMP + MOST_DRIFT * elapsed):
-            self.reset()       # all points are old, or the clock jumped
+        late, jump = elapsed - step, MOST_JUMP + MOST_DRIFT * elapsed
+        if elapsed > WINDOW or late < -jump or late > (jump if step >= 0.0 else MOST_OLDER):
+            self.reset()       # all points are old, or the clock jumped or stood
             board_before = step = 0.0
         board = board_before + step
         if not self._is_known:
@@ -85,8 +85,8 @@ class BoardClock:
         if delay < -MOST_EARLY:
             self.reset()
             return None
-        if 0.0 <= step < SMOOTHED:
-            at += (self._returned + self._slope * step - at) * (1 - step / SMOOTHED)
+        if step < SMOOTHED:      # an older time keeps its distance from the newest
+            at += (self._returned + self._slope * step - at) * min(1 - step / SMOOTHED, 1.0)
         if at > arrival:
             at = arrival
         if step >= 0.0:
@@ -130,7 +130,9 @@ class BoardClock:
         self._slope = min(max(slope, 1 - MOST_DRIFT), 1 + MOST_DRIFT)
         self._on_line = hull[at]
         if self._slope != slope:
-            self._on_line = min(hull, key=lambda point: point[1] - self._slope * point[0])
+            # What is before the window is of another delay, or of another rate.
+            inside = hull[1:] if hull[0][0] < board - WINDOW else hull
+            self._on_line = min(inside, key=lambda point: point[1] - self._slope * point[0])
 
 
 def _add_to_hull(hull: List[_Point], point: _Point) -> None:

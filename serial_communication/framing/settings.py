@@ -129,6 +129,10 @@ def _limits(row: Row, code: str, low: float, high: float) -> List[float]:
         for key, default in (('minimum', low), ('maximum', high))]
     if minimum > maximum:
         raise RowError(row.name('minimum'), minimum, f'may be at most the maximum, {maximum:g}')
+    if is_float:     # `checked` rounds to a float32: also what it makes of a limit is allowed
+        nearest = [_shortest(*struct.unpack('<f', struct.pack('<f', limit)))
+                   for limit in (minimum, maximum)]
+        minimum, maximum = min(minimum, nearest[0]), max(maximum, nearest[1])
     return [minimum, maximum]
 
 

@@ -49,8 +49,7 @@ class Lending:
             return _refused(f'the port is {loan}')
         new = Loan(by, clock() + min(seconds, LONGEST_LOAN))
         if not seconds:
-            if loan and loan.by == by:
-                self._port.lend_closed(new)
+            self._port.end_loan(by)
             return True, 'the port is opened again'
         if not self._port.lend_closed(new):
             failure = self._do(_Task(str(new), loan=new))
@@ -59,9 +58,12 @@ class Lending:
         deadline = time.monotonic() + _CLOSES_WITHIN
         while not self._port.has_closed():
             if time.monotonic() > deadline:
-                self._port.lend_closed(new._replace(until=0.0))
+                self._port.end_loan(by)
                 return _refused('the port is just being opened or closed, which takes long')
             time.sleep(0.005)
+        loan = self._port.loan
+        if not loan or loan.by != by or not loan.runs:
+            return _refused(f'the loan was over before it could be confirmed: {STALLED}')
         return True, f'{new} for {min(seconds, LONGEST_LOAN):g} s'
 
     def reset(self) -> Answer:
@@ -93,6 +95,9 @@ class Lending:
         task, self._task = self._task, None
         if task is None:
             return
+        if self._may_be_old():      # the stall may have begun after `_do` has asked
+            task.why_not = STALLED
+            return
         try:
             task.why_not = self._step(task)
         except (Refused, PortError) as error:
@@ -101,7 +106,9 @@ class Lending:
     def _step(self, task: '_Task') -> str:
         port = self._port
         if not port.is_open:
-            return '' if task.loan and port.lend_closed(task.loan) else 'the port is closed'
+            if task.loan and port.lend_closed(task.loan):
+                return ''
+            return f'the port is {port.loan if port.loan and port.loan.runs else "closed"}'
         under_way = self.under_way()
         if under_way:
             return f'not now: {under_way}'

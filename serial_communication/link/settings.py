@@ -1,5 +1,6 @@
 """The settings of one board: which values are wanted, and which the board has confirmed."""
 import threading
+import time
 from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple, Type
 
 from ..framing.settings import Setting, SettingMessage, message_of
@@ -22,6 +23,7 @@ class _State:
         self.announced = announced
         self.value: Any = None      # that the board uses; None: not known
         self.wanted: Any = None     # None: the board's own value stands
+        self.tried_at = 0.0
         self.again()
 
     def again(self) -> None:
@@ -50,7 +52,8 @@ class BoardSettings:
     """
 
     def __init__(self, log: SparingLog, use: Callable[[Type[SettingMessage]], None],
-                 wake: Callable[[], None]) -> None:
+                 wake: Callable[[], None],
+                 clock: Callable[[], float] = time.monotonic) -> None:
         # Called by any thread when rows or values have changed; must not wait.
         self.on_change: Callable[[], None] = lambda: None
         self.wanted: Dict[str, Any] = {}     # by name, also of rows that are not there now
@@ -58,6 +61,7 @@ class BoardSettings:
         self._states: Dict[str, _State] = {}
         self._by_number: Dict[int, _State] = {}
         self._allowance = Allowance(*_RATE)
+        self._clock = clock         # read before each message: the thread may stall between two
         self._log, self._use, self._wake = log, use, wake
         self._changed = threading.Condition()
 
@@ -114,6 +118,13 @@ class BoardSettings:
         self._wake()
         self.on_change()
 
+    def want_instead(self, name: str, wanted: Any, value: Any) -> None:
+        """Want `value`, if this is wanted still: somebody else may have set it meanwhile."""
+        with self._changed:      # reentrant
+            state = self._states.get(name)
+            if state is not None and state.wanted == wanted:
+                self.want(name, value)
+
     def wait(self, names: Iterable[str], seconds: float) -> None:
         """Wait until the board has confirmed or limited these settings, at most so long."""
         with self._changed:
@@ -145,14 +156,15 @@ class BoardSettings:
         """
         with self._changed:
             state = self._by_number.get(message.number)
-            if state is None or state.announced and not is_current:
+            if state is None or state.announced and not is_current \
+                    or type(message) is not self._kind:     # decoded before the rows changed
                 return
-            value, before = message.value, state.value
+            value, before, was_settled = message.value, state.value, state.is_settled
             state.value = value
             if state.wanted is not None:
                 self._compare(state, value, value == before)
             self._changed.notify_all()
-        if value != before or not state.is_settled:
+        if value != before or not (was_settled and state.is_settled):
             self.on_change()
 
     def _compare(self, state: _State, value: Any, is_same: bool) -> None:
@@ -183,10 +195,11 @@ class BoardSettings:
             waiting = [state for state in self._states.values()
                        if state.wanted is not None and not state.confirmed
                        and (is_current or not state.announced)]
-            for state in sorted(waiting, key=lambda state: state.due):
-                if now >= state.due and self._allowance.take(now):
+            for state in sorted(waiting, key=lambda state: state.tried_at):
+                if now >= state.due and self._allowance.take(self._clock()):
                     self._try(state, now, write)
-            return min((state.due if state.due > now else now + _PAUSES[0] for state in waiting),
+            # What the allowance kept is due when there is one more.
+            return min((state.due if state.due > now else now + 1 / _RATE[1] for state in waiting),
                        default=None)
 
     def _try(self, state: _State, now: float, write: Callable[[SettingMessage], None]) -> None:
@@ -197,6 +210,7 @@ class BoardSettings:
             state.due = now + _PAUSES[0]
             return
         state.tries += 1
+        state.tried_at = now
         state.due = now + _PAUSES[state.tries >= _TRIES]
         # A board that has reported nothing yet may still be starting.
         least = _TRIES + (1 if state.value is not None else _STARTING)

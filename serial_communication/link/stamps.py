@@ -72,6 +72,9 @@ class Stamps:
             self._log.warn('clock', "by the board's clock a frame is over 1 s old: it has the "
                            'stamp of its read')
             return read.stamp
+        if self._read is not None and not (
+                self._earlier(read.stamp, MOST_DELAY) <= self._stamp <= read.stamp):
+            return read.stamp      # the clock of the stamps was set since the earlier read
         self._delays.append(delay)
         self._read = read
         return self._stamp

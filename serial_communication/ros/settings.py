@@ -6,7 +6,7 @@ its lock. So this module has the topics and the service of one, with dynamic_rec
 from functools import partial
 from math import inf
 from types import SimpleNamespace
-from typing import Any, Dict, Iterable, List, Optional, Tuple
+from typing import Any, Dict, Iterable, List, Optional, Set, Tuple
 
 import rospy
 
@@ -84,6 +84,7 @@ class SettingsServer:
         self._name = f'~{PARAMETER}/{link.name}'
         self._server: Optional[Tuple[rospy.Publisher, rospy.Publisher, rospy.Service]] = None
         self._published: List[Any] = [None, None]     # the latest description and values
+        self._unset: Set[str] = set()     # of which the parameter could not be set
         self._is_told = False     # that dynamic_reconfigure is missing
 
     def update(self) -> None:
@@ -123,16 +124,18 @@ class SettingsServer:
         known = self._parameters.get(PARAMETER, {})
         before = known.get(self._link.name, {})
         new = {name: for_xml_rpc(wanted) for name, (_, wanted, _) in self._settings.shown().items()
-               if wanted is not None and wanted != before.get(name)}
+               if wanted is not None and (name in self._unset or wanted != before.get(name))}
         if new:     # as new groups: another thread may be reading these
             self._parameters[PARAMETER] = {**known, self._link.name: {**before, **new}}
         for name, value in new.items():
             try:
                 rospy.set_param(f'{self._name}/{name}', value)
+                self._unset.discard(name)
             except Exception as error:  # pylint: disable=broad-except
                 # rospy passes on what its master, or another server at its address, answers.
+                self._unset.add(name)
                 self._log.warn('parameter', f'the parameter {self._name}/{name} cannot be set now '
-                               f'({error}); a new roscore gets it')
+                               f'({error}); it is set with the next change, or at a new roscore')
 
     def _set(self, request: Any) -> Any:
         """Want the values of a request; return those that the board uses then."""
@@ -148,10 +151,10 @@ class SettingsServer:
             if name in given and not is_settled:
                 self._link.log.warn(f'set {name}', f'the setting {name} = {wanted} is not '
                                     'confirmed by the board yet; it is sent until it is')
-            elif name in given and value != wanted:
+            elif name in given and wanted is not None and value != wanted:
                 self._link.log.warn(f'set {name}', f'the setting {name} cannot be {wanted}: the '
                                     f'board uses {value}')
-                self._settings.want(name, value)
+                self._settings.want_instead(name, wanted, value)
         return ReconfigureResponse(self._config())
 
     def _config(self) -> Any:

@@ -21,6 +21,7 @@ from .port_errors import GONE, PortError
 _READ_SIZE = 65536
 _SLICE = 0.05      # s; longest wait of pyserial's reads and writes
 _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
+_MOST_REFUSED = 3      # times in turn that a tty does not take its settings; then it keeps its own
 _PULSE = 0.1       # s for which a control line is changed to reset a board
 _VANISHED = 4      # s without an answer after which a connection's peer has vanished
 _IAC = b'\xff'     # RFC 2217 is telnet, where this byte is doubled in data
@@ -160,6 +161,7 @@ class OpenTty(_Polled):
         if not self.is_pty:
             self._lock(termios.TIOCEXCL)
         self._settings = b''        # which it should have; b'': unknown
+        self._refused = 0           # how often in turn it did not take them
         # The ioctl has another number on some processors; pyserial's settings do there.
         with suppress(OSError, struct.error):
             self._settings = tty_settings.set_raw(self._fd, opened.baudrate)
@@ -187,8 +189,11 @@ class OpenTty(_Polled):
             if found == wanted:
                 return ''
             tty_settings.write(self._fd, wanted)
-            # Read back, since a device may refuse some of them: do not try again each time.
-            self._settings = tty_settings.read(self._fd)
+            # A device may refuse some of them: do not try for ever. But what is read back may also
+            # be what another program has just set again.
+            self._refused = self._refused + 1 if tty_settings.read(self._fd) == found else 0
+            if self._refused >= _MOST_REFUSED:
+                self._settings, self._refused = found, 0
             termios.tcflush(self._fd, termios.TCIFLUSH)
         except (OSError, termios.error):
             return ''       # the device is gone; the next read reports it

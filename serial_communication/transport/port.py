@@ -98,15 +98,25 @@ class Port:
         if holders:
             raise PortError(f'it was {loan}, and is still open in {", ".join(holders)}')
         with self._lock:
-            if self.loan is loan:       # else it is lent again
-                self.loan = None
+            if self.loan is not loan:       # it is lent again meanwhile
+                raise PortError(str(self.loan))
+            self.loan = None
 
     def lend_closed(self, loan: Loan) -> bool:
-        """Lend the port, or change the loan, if it is closed; return whether it is."""
+        """Lend the port, or change the loan, if it is closed and not lent to another; return
+        whether it is."""
         with self._lock:
-            if self._opened is None:
-                self.loan = loan
-            return self._opened is None
+            other = self.loan is not None and self.loan.by != loan.by and self.loan.runs
+            if self._opened is not None or other:
+                return False
+            self.loan = loan
+            return True
+
+    def end_loan(self, by: str) -> None:
+        """End the loan if it is to `by`, also while the port is just being opened or closed."""
+        with self._lock:
+            if self.loan and self.loan.by == by:
+                self.loan = self.loan._replace(until=0.0)
 
     def give_up(self, why: str) -> None:
         """Write nothing more until the port is opened again; the next `read` raises PortError,

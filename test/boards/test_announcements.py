@@ -342,6 +342,21 @@ def test_the_pauses_between_questions_grow(outcome, log):
     assert len(questions.asked) == 7
 
 
+@pytest.mark.parametrize('outcome', [
+    Outcome(bus.ERROR, 'malformed', 0x8001), Outcome(TIMEOUT, 'no reply'),
+    Outcome(bus.OK, '', 0, chunks_of(b'old', 9)[0].pack())],
+    ids=('no such chunk', 'none', 'a chunk of the board before'))
+def test_a_question_from_before_a_sync_says_nothing_about_the_board_behind_it(log, outcome):
+    questions = Questions(log)
+    questions.question.step(0.0)
+    questions.question.restart(1.0)
+    questions.asked[0].finish(outcome)
+    texts = [questions.question.step(now) for now in (2.0, 3.0, 4.0)]
+    assert texts == [None] * 3 and len(questions.asked) == 2
+    questions.asked[1].finish(Outcome(bus.OK, '', 0, chunks_of(b'new', 9)[0].pack()))
+    assert questions.question.step(5.0) == b'new'
+
+
 @pytest.fixture
 def log(logger):
     return SparingLog('bus', logger)
@@ -431,3 +446,11 @@ def test_a_text_whose_crc_never_matches_is_ignored_after_three_rounds(bus_board,
     until(lambda: len(bus_board.executed) > seen + 3)
     assert link.texts == [b''] and len(bus_board.questions()) == 3 * len(bus_board.chunks)
     assert len(lines('does not match its text in 3 rounds')) == 1
+
+
+def test_a_board_that_ignores_the_index_is_asked_for_three_rounds(bus_board, bus_link, lines):
+    bus_board.chunks = chunks_of(TEXT, 20)[:1] * 300
+    link = bus_link()
+    until(lambda: link.texts)
+    assert link.texts == [b''] and len(lines('does not match its text in 3 rounds')) == 1
+    assert len(bus_board.questions()) == 3 * len(chunks_of(TEXT, 20))

@@ -1,10 +1,12 @@
 """Settings on the links to the model car and the sensor board, over real ttys."""
+import math
+
 import pytest
 
 from fake_boards import Board, CarBoard, until
 from serial_communication.boards.arduino import settings as arduino_settings
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.boards.mcu import settings as mcu_settings
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
@@ -114,6 +116,20 @@ def test_a_board_with_nothing_wanted_gets_nothing_new(request, link_name, board_
         until(lambda value=value: link.board_settings.shown()['kp'][0] == value)
     assert {type(message) for message in board.messages()} <= {
         arduino.SpeedCommand, arduino.Heartbeat}
+
+
+def test_a_value_that_is_no_number_is_not_used_also_without_check_plausibility(
+        line, car, logger, running):
+    link = running(ArduinoLink(Port(line.path), ArduinoSettings(check_plausibility=False),
+                               logger=logger))
+    settings, used = link.board_settings, []
+    for row in arduino_settings(ROWS):
+        settings.add(row)
+    settings.on_change = lambda: used.append(settings.shown()['kp'][0])
+    until(lambda: link.heartbeats_sent)
+    car.write(arduino.encode(KP(1, math.nan)) + arduino.encode(KP(1, 1.5)))
+    until(lambda: used[-1:] == [1.5])
+    assert set(used) <= {None, 1.5} and link.decoder.errors['implausible'] == 1
 
 
 def test_a_setting_waits_until_the_calibration_is_over_and_delays_no_heartbeat(car, car_link):

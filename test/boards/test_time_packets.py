@@ -2,9 +2,11 @@
 import pytest
 
 from serial_communication.boards.arduino import custom_messages as arduino_messages
+from serial_communication.boards.arduino import settings as arduino_settings
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import custom_messages as mcu_messages
 from serial_communication.boards.mcu import wire as mcu
+from serial_communication.framing.settings import message_of
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
 
 TICKS = arduino.encode(arduino.Ticks(1))
@@ -50,7 +52,7 @@ def test_log_text_announcements_and_settings_are_not_counted(packet):
 @pytest.mark.parametrize('damage', [
     arduino.encode_raw(200, b'unknown'), arduino.encode_raw(8, b'too long'), b'\x09\x02\0', b'\1\0',
     arduino.encode_raw(10, b'\0\0\xc0\x7f'), arduino.encode_raw(1, b'\xff' * 20),
-    b'\1' * 400 + b'\0',
+    b'\1' * 400 + b'\0', arduino.encode_raw(253, b''),
     arduino.encode_raw(254, b'\0\0\0\0'), time(9, 0), time(9, 17)])
 def test_damage_ends_the_reach(damage):
     wire = time(9, 16) + TICKS + damage + TICKS
@@ -61,9 +63,23 @@ def test_damage_ends_the_reach(damage):
     assert [frame.ticks for frame in parts] == [9, 9, None, None]
 
 
-@pytest.mark.parametrize('count', [0, 17])
-def test_an_impossible_count_is_an_error(count):
-    assert arduino.Decoder().feed(time(1, count))[0].cause == IMPLAUSIBLE
+def test_a_setting_that_has_swallowed_a_counted_packet_ends_the_reach():
+    """One byte on the wire was changed: the end of the setting's packet."""
+    kind = message_of(arduino_settings({'kp': {'setting': 1, 'layout': '<f'}}))
+    for end in range(1, 256):
+        wire = time(9, 1) + arduino.encode(kind(1, 2.0))[:-1] + bytes((end,)) + TICKS + TICKS
+        frames = arduino.Decoder(messages=[kind]).feed(wire)
+        assert frames[-2].cause and frames[-1].raw == TICKS and frames[-1].ticks is None
+
+
+@pytest.mark.parametrize('check', [True, False])
+@pytest.mark.parametrize('count', [0, 17, 200])
+def test_an_impossible_count_is_an_error(count, check):
+    frames = arduino.Decoder(check_plausibility=check).feed(time(1, count) + TICKS)
+    assert [(frame.cause, frame.ticks) for frame in frames] == [(IMPLAUSIBLE, None), ('', None)]
+
+
+def test_time_of_the_wrong_length_is_an_error():
     assert arduino.Decoder().feed(arduino.encode_raw(254, b'\0\0\0\0'))[0].cause == LENGTH
 
 
@@ -88,6 +104,19 @@ def test_an_mcu_time_is_for_the_frame_with_the_next_seq_and_no_other():
     assert ticks((mcu.Time(1), 8)) == [1]
     decoder.reset()
     assert ticks((STATUS, 9)) == [None]
+
+
+@pytest.mark.parametrize('type_, data, cause', [
+    (0x77, b'unknown', ''), (32, b'\5', LENGTH), (32, b'\xff\x7f\0\0\0\0', IMPLAUSIBLE)])
+def test_an_mcu_time_is_for_no_frame_behind_an_unknown_or_invalid_one_with_the_next_seq(
+        type_, data, cause):
+    row, = mcu_messages({'force': ROW})
+    wire = mcu.encode(mcu.Time(7), 5) + b''.join(
+        mcu.encode_raw(type_, seq % 256, data) for seq in range(6, 6 + 256))
+    frames = mcu.Decoder(messages=[row.kind]).feed(wire + mcu.encode(ADC, 6))
+    assert frames[0].ticks == 7 and frames[-1].message == ADC
+    assert {(frame.message, frame.cause) for frame in frames[1:-1]} == {(None, cause)}
+    assert [frame.ticks for frame in frames[1:]] == [None] * 257
 
 
 def test_an_mcu_frame_behind_noise_has_the_time_of_its_seq():

@@ -335,6 +335,14 @@ _OUT_OF_STEP = reply_frame(codec.INVALID, bytes((codec.NOT_SYNCHRONISED,)))
 OK = b''         # in a reaction: the usual reply
 
 
+class Fence(NamedTuple):
+    """Whether there was a fence before a request that needs one."""
+
+    t: float             # of the request
+    holds: bool
+    text: str            # describes it
+
+
 class Reaction(NamedTuple):
     """How a bus board reacts to a request."""
 
@@ -350,7 +358,7 @@ class BusBoard(Board):
         probe: likewise to SYNC and ECHO.
         in_step: False after a reset, until a SYNC.
         lost_echoes: ECHOs since the latest one that returned.
-        check_fence: called for what needs a fence: whether it had one, and a description.
+        check_fence: called for each request that needs one.
     """
 
     received_frame_at = staticmethod(codec.request_at)
@@ -365,7 +373,7 @@ class BusBoard(Board):
         self.in_step, self.lost_echoes = True, 0
         self.announces = b''
         self.readings = 0
-        self.check_fence: Callable[[bool, str], Any] = lambda holds, text: None
+        self.check_fence: Callable[[Fence], Any] = lambda fence: None
         self.on_request: Callable[[Request], None] = self.requests.append
         self.written_at = 0.0
         self._clock = clock
@@ -405,14 +413,16 @@ class BusBoard(Board):
         before, self._before = self._before, request
         if request.cmd1 == codec.ECHO:
             if len(request.data) != 4 or request.data in self._nonces:
-                self.check_fence(False, f'the nonce of {request} is not new, or has not 4 bytes')
+                self.check_fence(Fence(
+                    request.t, False, f'the nonce of {request} is not new, or has not 4 bytes'))
             self._nonces.append(request.data)
             self.lost_echoes += 1
         elif request.cmd1 != codec.SYNC and request.cmd2 != HALT:      # a stop needs no fence
             is_same_poll = before and before.key == request.key and request.cmd2 in POLLS
             is_echoed = before and before.cmd1 == codec.ECHO and before.data in self._echoed
-            self.check_fence(is_same_poll or is_echoed or self._is_silent(before, request.t),
-                             f'{request} came behind {before}')
+            self.check_fence(Fence(
+                request.t, is_same_poll or is_echoed or self._is_silent(before, request.t),
+                f'{request} came behind {before}'))
 
     def _is_silent(self, before: Optional[Request], now: float) -> bool:
         """Whether a silence is the fence: after three lost ECHOs and a SYNC, or of a board that

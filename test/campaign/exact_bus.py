@@ -67,6 +67,9 @@ CASES = (
 SESSION_CASES = (
     *(Case(f'INVALID {code:#x}, but executed', [_executed(0.01, before=_refusal(code)), _DONE],
            'not known') for code in (codec.BAD_CHECKSUM, codec.NOT_SYNCHRONISED, 0x20)),
+    *(Case(f'an OK with another flag, then INVALID {code:#x}', [
+        _executed(before=bytes((0xA4, 0, codec.OK, 0xA5 ^ codec.OK)) + _refusal(code)), _DONE],
+           'not known') for code in (codec.BAD_CHECKSUM, codec.NOT_SYNCHRONISED, 0x20)),
     Case('bad checksum each time', [_replied(_refusal(codec.BAD_CHECKSUM))], 'refused', 3),
     *(Case(f'behind {what} {name}', reactions, 'done', len(reactions), probe, cmd)
       for name, cmd, reactions, other in (

@@ -2,6 +2,7 @@
 import contextlib
 import itertools
 import json
+import math
 import signal
 import sys
 import time
@@ -65,7 +66,7 @@ class Rig(Stage):
         self.car, self.bus = Car(self.car_line, self.clock), BusBoard(self.bus_line, self.clock)
         self.sensors = Sensors(self.mcu_line)
         self._checked_beats = 0
-        self.bus.check_fence = lambda holds, text: self.row(FENCED).check(holds, text)
+        self.bus.check_fence = lambda fence: self.row(FENCED).check(fence.holds, fence.text)
         for line in lines.values():
             line.on_moved = self.machine.moved
 
@@ -97,15 +98,15 @@ class Rig(Stage):
             self.in_time(required, since, until, BEAT_MISSED, f'at {since:.3f}')
 
     def in_time(self, required: Requirement, since: float, until: float, limit: float, text: str,
-                least: float = 0.0) -> None:
+                least: float = -math.inf) -> None:
         """Check the time between two events, in s. It is not decided if a witness was late, too,
         and by as much as the limit was exceeded by, not counting `MARGIN`."""
         seconds = until - since
         excess = max(seconds - limit, least - seconds)
         if excess > 0 and self.machine.late(since, until) >= max(LATE, excess - MARGIN):
             required.undecided += 1
-        elif required.check(excess <= 0, f'{text}: {seconds * 1e3:.1f} ms, {least * 1e3:g} to '
-                            f'{limit * 1e3:g} ms allowed'):
+        elif required.check(excess <= 0, f'{text}: {seconds * 1e3:.1f} ms, at most {limit * 1e3:g} '
+                            f'and at least {least * 1e3:g} ms are allowed'):
             required.keep_worst(seconds * 1e3, 'ms')
 
     def wait_for_bridge(self) -> None:

@@ -95,6 +95,7 @@ class Storm:
                 self._motor.resumed()
             self._motor.judge()
             self._values.judge()
+            self._calls.judge()
             self.rig.check_always()
             self.rig.check(self.rig.child_bridge)
 
@@ -121,7 +122,7 @@ class Storm:
         rig.robot.on_message = self._values.published
         rig.car.on_packet, rig.car.on_beat = self._motor.received, self._motor.heartbeat
         rig.bus.on_request, rig.bus.executed = self._calls.received, self._calls.executed
-        rig.bus.react = self._react
+        rig.bus.react, rig.bus.check_fence = self._react, self._calls.fences.append
         for link, board in self._boards.items():
             board.sent = board.written = collections.deque(maxlen=0)
             board.line.damage = functools.partial(self._damage, link, board)

@@ -15,12 +15,13 @@ from typing import Any, Deque, Dict, Iterator, List, NamedTuple, Tuple
 
 from processes import usage_of
 import by_definition as codec
-from .boards import ANNOUNCE, DEPTH, HEIGHT, MEMORY, Key, Packet, Request
-from .rig import POLLED_TOPICS, SPEED_TIMEOUT, Rig
+from .boards import ANNOUNCE, DEPTH, HEIGHT, MEMORY, Fence, Key, Packet, Request
+from .rig import FENCED, POLLED_TOPICS, SPEED_TIMEOUT, Rig
 from .robot import Outcome, Published
 
 _AGE, _NETWORK_AGE = 0.7, 1.5    # s; no older speed reaches the board
 _STOP_TIME = SPEED_TIMEOUT + 0.05      # s
+_ECHOES = 2.0            # s that three ECHOs, a SYNC and a silence take at most
 _CALL_TIME = 6.0         # s: for its turn, three tries, and two stalls
 _KEPT = 10.0             # s after which a value that was not published is lost
 _RETURN = 1.0            # s until values are published again after a stall
@@ -96,6 +97,7 @@ class CallCheck:
         self._expected: Dict[Tuple[int, bytes], int] = {}
         self._numbers = itertools.count(1)
         self._lock = threading.Lock()
+        self.fences: Deque[Fence] = deque()      # to be judged
 
     def call(self) -> None:
         """Make one call."""
@@ -129,6 +131,16 @@ class CallCheck:
                 row('a request comes again only after INVALID').check(
                     self._expected[key] > 0, f'{request}')
                 self._expected[key] -= 1
+
+    def judge(self) -> None:
+        """Decide about the fences: an ECHO that the machine delays is lost for the bridge."""
+        required = self._rig.row(FENCED)
+        while self.fences:
+            fence = self.fences.popleft()
+            if not fence.holds and self._rig.machine.stalled(fence.t - _ECHOES, fence.t):
+                required.undecided += 1
+            else:
+                required.check(fence.holds, fence.text)
 
     def invalid(self, key: Tuple[int, bytes]) -> None:
         """The board has not executed this request, and replies so: it may receive it again."""

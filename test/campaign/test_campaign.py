@@ -146,7 +146,7 @@ def test_heartbeats_that_the_bridge_drops_when_a_silence_ends_were_in_time(
 def bus_board(line):
     """A board, and what was wrong about fences."""
     board, faults = BusBoard(line, Clock()), []
-    board.check_fence = lambda holds, text: holds or faults.append(text)
+    board.check_fence = lambda fence: fence.holds or faults.append(fence.text)
     return board, faults
 
 

@@ -9,9 +9,10 @@ import pytest
 
 pytest.importorskip('rospy')
 from campaign import storm_checks  # noqa: E402
-from campaign.boards import MEMORY, Packet, Request  # noqa: E402
+from campaign.boards import MEMORY, Fence, Packet, Request  # noqa: E402
 from campaign.damage import DamagedLine  # noqa: E402
 from campaign.requirements import Table  # noqa: E402
+from campaign.rig import FENCED  # noqa: E402
 from campaign.robot import NOT_SENT, TIMEOUT, Outcome, Published  # noqa: E402
 
 TOKEN = struct.pack('<I', 7)
@@ -225,6 +226,17 @@ def test_values_may_be_lost_in_a_disturbance_or_if_a_witness_was_as_late(rig, li
     values, rig.late = Values(rig, 12), late
     values.disturb(link, 0.5, 0.9)
     assert len(values.publish(*range(6), *range(7, 12))) == violated    # sent at 0.6
+
+
+@pytest.mark.parametrize('holds, late', [(True, 0.0), (False, 0.0), (False, 0.1), (True, 0.1)])
+def test_a_request_without_a_fence_is_not_decided_if_the_machine_stalled(rig, holds, late):
+    rig.late = late
+    check = storm_checks.CallCheck(rig)
+    check.fences.append(Fence(100.0, holds, ''))
+    check.judge()
+    row = rig.row(FENCED)
+    assert (row.checks, row.violations, row.undecided) == (
+        (0, 0, 1) if late and not holds else (1, int(not holds), 0))
 
 
 def test_after_a_disturbance_values_may_be_lost_only_until_the_next_one(rig):

@@ -13,12 +13,11 @@ from xmlrpc.client import ServerProxy
 
 import rosgraph
 import waiting
+from waiting import PATIENCE
 
-PATIENCE = 60.0     # s; only a failing command takes so long
 LEVELS = Path(__file__).with_name('levels.py')
 
-
-until = partial(waiting.until, seconds=PATIENCE, every=0.05)
+until = partial(waiting.until, every=0.05)
 
 
 class Stage:

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as some
 
-from serial_communication.framing.board_time import LEAST_POINTS, WINDOW, BoardClock
+from serial_communication.framing.board_time import (DRAWN_EVERY, LEAST_POINTS, MOST_DRIFT,
+                                                     SMOOTHED, WINDOW, BoardClock)
 
 PERIOD = 0.01     # s between two measurements
 SECONDS = some.floats(0, 0.3)
@@ -159,6 +160,18 @@ def test_a_clock_that_jumps_begins_again(jump):
     assert 49 <= len(errors) <= 51 and p99(errors) < 1e-4
 
 
+@pytest.mark.parametrize('dead', [0.065, 0.3, 0.9])
+@pytest.mark.parametrize('points', [5, 8, 10])
+def test_a_board_that_is_reset_just_after_its_start_begins_again(points, dead):
+    """As when the current of its motors makes its supply fail: its clock is hardly set back."""
+    clock, board = BoardClock(), Board()
+    errors_of(clock, board, take(points, usual()))
+    other = Board()
+    other.now = board.now + dead
+    errors = errors_of(clock, other, take(300, usual()))
+    assert 190 <= len(errors) <= 202 and p99(errors) < 3e-4
+
+
 @pytest.mark.parametrize('older', [1e-6, 0.003, 0.09])
 def test_a_time_older_than_the_one_before_is_no_jump(older):
     """As of a value that was measured in an interrupt, and sent behind another one."""
@@ -169,6 +182,21 @@ def test_a_time_older_than_the_one_before_is_no_jump(older):
         before = clock.measured_at((ticks - round(older * 1e6)) % 2 ** 32, true + 2e-4)
     assert at == pytest.approx(true, abs=3e-4)
     assert before == pytest.approx(at - older, abs=1e-3)
+
+
+@pytest.mark.parametrize('slower', [0.005, 0.05, 0.3])
+def test_an_older_time_is_never_returned_later_than_the_newest(slower):
+    """While the times move over to the line of a delay that has grown."""
+    clock, board, compared = BoardClock(), Board(), 0
+    for index in range(3000):
+        true, ticks = board.measure()
+        delay = 1e-4 + slower * (index > 1200)
+        newest = clock.measured_at(ticks, true + delay)
+        older = clock.measured_at(ticks - 1000, true + delay + 1e-4)
+        if newest is not None and older is not None:
+            assert older <= newest
+            compared += 1
+    assert compared > 2500
 
 
 @pytest.mark.parametrize('bit', range(32))
@@ -203,6 +231,24 @@ def test_a_slope_over_one_percent_is_held_there():
     errors = errors_of(clock, Board(drift=0.03), take(int(WINDOW / PERIOD), usual()))
     assert clock.drift == pytest.approx(10_101, abs=1)
     assert all(error <= 2e-4 for error in errors)
+
+
+@pytest.mark.parametrize('drift', [-0.0102, -0.015, -0.03, -0.05])
+def test_a_clock_over_one_percent_slow_is_wrong_by_the_window_at_most(drift):
+    errors = errors_of(BoardClock(), Board(drift), take(6000, usual()))
+    too_slow = 1 / (1 + drift) - (1 + MOST_DRIFT)
+    assert len(errors) > 5500
+    assert min(errors) > -too_slow * (WINDOW + SMOOTHED + DRAWN_EVERY)
+
+
+@pytest.mark.parametrize('slower', [0.15, 0.3, 0.9])
+def test_stamps_follow_a_line_that_got_slower_for_good(slower):
+    """A delay that grows by more than the drift explains in the window."""
+    clock, board = BoardClock(), Board()
+    errors_of(clock, board, take(1500, usual()))
+    errors_of(clock, board, take(round((WINDOW + 3) / PERIOD), usual(least=slower)))
+    errors = errors_of(clock, board, take(100, usual(least=slower)))
+    assert len(errors) == 100 and all(abs(error - slower) < 0.01 for error in errors)
 
 
 def test_old_points_are_forgotten():

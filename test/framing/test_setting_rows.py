@@ -11,6 +11,7 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import settings as mcu_settings
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.custom_messages import RowError
+from serial_communication.framing.layout import Value
 from serial_communication.framing.settings import SettingMessage, message_of
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
 
@@ -49,6 +50,16 @@ def test_a_setting_without_a_row_is_no_error_and_one_of_the_wrong_length_is(enco
     assert '4 bytes of data where 5 is right' in frames[1].error
 
 
+@pytest.mark.parametrize('decoder', [arduino.Decoder, arduino.BoardDecoder])
+@pytest.mark.parametrize('value', [math.nan, math.inf])
+def test_a_value_that_is_no_number_is_invalid_also_without_check_plausibility(decoder, value):
+    made = decoder(check_plausibility=False, messages=[message_of([row()])])
+    frames = [made.feed(arduino.encode_raw(253, b'\1' + struct.pack('<f', number)))[0]
+              for number in (value, 2.0)]
+    assert [(frame.cause, frame.message) for frame in frames] == [
+        (IMPLAUSIBLE, None), ('', (1, 2.0))]
+
+
 @pytest.mark.parametrize('code, value, data, text', [
     ('?', True, b'\1', 'true'), ('b', -5, b'\xfb', '-5'), ('B', 200, b'\xc8', '200'),
     ('h', -2, b'\xfe\xff', '-2'), ('H', 500, b'\xf4\1', '500'),
@@ -81,6 +92,22 @@ def test_values_that_are_not_allowed(changes, values):
     for value in values:
         with pytest.raises(ValueError):
             row(**changes).checked(value)
+
+
+LIMITS = st.floats(*Value('', code='f').range)
+
+
+@given(LIMITS, LIMITS)
+def test_what_a_limit_is_rounded_to_is_allowed(one, other):
+    setting = row(minimum=min(one, other), maximum=max(one, other))
+    for value in one, other, setting.minimum, setting.maximum, setting.default:
+        rounded = setting.checked(value)
+        assert setting.checked(rounded) == rounded
+
+
+def test_the_default_of_a_row_whose_positive_minimum_rounds_down_is_allowed():
+    setting = row(minimum=0.0174532925, maximum=1)
+    assert setting.default < 0.0174532925 and setting.checked(setting.default) == setting.default
 
 
 @pytest.mark.parametrize('changes, text', [

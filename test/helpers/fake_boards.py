@@ -12,13 +12,13 @@ import waiting
 from fake_bus import FakeBus
 from heartbeats import longest_gap
 from lines import Tty
+from waiting import PATIENCE
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
 
-PATIENCE = 8.0      # s that a condition may take on the slowest machine
-until = partial(waiting.until, seconds=PATIENCE, every=0.002)
+until = partial(waiting.until, every=0.002)
 _GIVE_UP = 0.3      # s after which a board drops an incomplete frame
 _QUIET = 0.4        # s after which a car that has talked sends an empty packet
 

@@ -45,7 +45,7 @@ class Line:
             if os.path.lexists(path):
                 os.unlink(path)
         self._process.kill()
-        self._process.wait(10)
+        self._process.wait(PATIENCE)
         self._process = None
 
 

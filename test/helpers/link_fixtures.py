@@ -10,12 +10,13 @@ import pytest
 
 from fake_boards import Board
 from lines import Pty
+from waiting import PATIENCE
 
 from serial_communication.boards.arduino import motor, output
 from serial_communication.link import connection
 from serial_communication.transport.port import Port
 
-_LIMIT = 20.0      # s for one test
+_LIMIT = 2 * PATIENCE     # s for one test
 _NEVER = 1e9       # s
 
 

@@ -5,13 +5,13 @@ from functools import partial
 
 import waiting
 from lines import ROOT  # noqa: F401
+from waiting import PATIENCE
 
 from serial_communication.transport.port import Port, PortBusy, PortError
 from serial_communication.simulation.board import Runner
 from serial_communication.simulation.line import SimulatedLine
 
-PATIENCE = 10.0   # s; only a failing test waits as long
-until = partial(waiting.until, seconds=PATIENCE, every=0.002)
+until = partial(waiting.until, every=0.002)
 
 
 class Notes(list):

@@ -14,6 +14,7 @@ ROWS = {'kp': {'setting': 1, 'layout': '<f', 'minimum': 0, 'maximum': 10},
         'ramp': {'setting': 2, 'layout': '<H', 'unit': 'ms'},
         'on': {'setting': 3, 'layout': '<?'}}
 DEFAULTS = {1: 1.0, 2: 100, 3: False}
+MANY = {f's{number}': {'setting': number, 'layout': '<B'} for number in range(60)}
 
 
 class Rig:
@@ -26,7 +27,7 @@ class Rig:
         self.woken = 0
         self.refuses = self.is_current = False
         log = SparingLog('arduino', logging.getLogger('rig'))
-        self.settings = BoardSettings(log, self.kinds.append, self._wake)
+        self.settings = BoardSettings(log, self.kinds.append, self._wake, lambda: self.now)
         self.remove = {row.name: self.settings.add(row, announced)
                        for row in read_settings(rows, 'arduino/settings')}
 
@@ -54,6 +55,12 @@ class Rig:
 
     def shown(self, name='kp'):
         return self.settings.shown()[name]
+
+    @property
+    def is_over_20_a_second(self):
+        """Whether over 20 frames were sent in any second."""
+        times = [at for at, *_ in self.sent]
+        return any(later - at < 0.999 for at, later in zip(times, times[20:]))
 
 
 @pytest.fixture
@@ -107,6 +114,7 @@ def test_a_board_that_starts_again_gets_all_wanted_values_as_soon_as_it_reports_
     rig.report(1, 2.0)
     rig.report(2, 250)
     rig.report(3, False)
+    rig.step(1)
     rig.sent.clear()
     rig.report(2, 100)
     assert rig.settings.values()[1] == ('settings unconfirmed', 'kp=2, ramp=250')
@@ -287,16 +295,92 @@ def test_whatever_is_lost_the_board_gets_what_is_wanted_and_never_over_20_frames
     assert all(value == board.values[numbers[name]]
                for name, (value, _, _) in rig.settings.shown().items())
     assert rig.settings.values()[1][1] == ''
-    times = [at for at, *_ in rig.sent]
-    assert all(later - at >= 0.999 for at, later in zip(times, times[20:]))
+    assert not rig.is_over_20_a_second
 
 
 def test_many_settings_are_limited_to_20_frames_a_second_and_all_are_sent():
-    rows = {f's{number}': {'setting': number, 'layout': '<B'} for number in range(60)}
-    rig = Rig(rows=rows)
-    for name in rows:
+    rig = Rig(rows=MANY)
+    for name in MANY:
         rig.settings.want(name, 7)
     rig.step(6.0)
     assert {number for _, number, _ in rig.sent} == set(range(60))
-    times = [at for at, *_ in rig.sent]
-    assert all(later - at >= 0.999 for at, later in zip(times, times[20:]))
+    assert not rig.is_over_20_a_second
+
+
+@pytest.mark.parametrize('stall', [0.0, 0.1, 0.45, 0.99])
+def test_over_20_are_sent_in_no_second_in_which_the_thread_stalls(stall):
+    rig = Rig(rows=MANY)
+    for name in MANY:
+        rig.settings.want(name, 7)
+    for _ in range(3):
+        before, rig.now = rig.now, rig.now + stall     # it stalls before the writes
+        rig.settings.send(before, rig._write, False)
+        for _ in range(200):
+            rig.settings.send(rig.now, rig._write, False)
+            rig.now += 0.01
+    assert len(rig.sent) > 60 and not rig.is_over_20_a_second
+
+
+def test_16_settings_are_all_sent_again_within_a_second_of_a_reset():
+    rows = dict(list(MANY.items())[:16])
+    rig = Rig(rows=rows)
+    for name in rows:
+        rig.settings.want(name, 7)
+    rig.step(5)
+    for number in range(16):
+        rig.report(number, 7)
+    assert rig.settings.values()[1][1] == ''
+    rig.step(1)
+    rig.sent.clear()
+    rig.report(3, 0)
+    rig.step(1)
+    assert {number for _, number, _ in rig.sent} == set(range(16))
+
+
+def test_a_setting_that_is_dragged_all_the_time_does_not_keep_another_from_the_line():
+    rig = Rig()
+    rig.settings.want('ramp', 250)
+    for count in range(1000):      # in 5 s
+        rig.settings.want('kp', count % 10)
+        rig.settings.send(rig.now, rig._write, False)
+        rig.now += 0.005
+    numbers = [number for _, number, _ in rig.sent]
+    assert numbers.count(2) >= 8 and numbers.count(1) >= 60
+
+
+def test_the_value_of_a_limit_does_not_take_the_place_of_a_value_set_meanwhile(rig):
+    rig.settings.want('kp', 9.0)
+    rig.settings.want_instead('kp', 9.0, 5.0)
+    assert rig.shown() == (None, 5.0, False)
+    rig.settings.want('kp', 3.0)
+    rig.settings.want_instead('kp', 9.0, 5.0)
+    assert rig.shown() == (None, 3.0, False) and rig.settings.wanted == {'kp': 3.0}
+    rig.remove['kp']()
+    rig.settings.want_instead('kp', 3.0, 5.0)
+    assert rig.settings.wanted == {'kp': 3.0}
+
+
+def test_a_value_that_becomes_known_as_limited_is_a_change(rig):
+    shown = []
+    rig.settings.on_change = lambda: shown.append(rig.shown())
+    rig.settings.want('kp', 9.0)
+    for _ in range(3):
+        rig.step()
+        rig.report(1, 5.0)
+        rig.step(0.2)
+    assert shown[-1] == (5.0, 9.0, True)
+    count = len(shown)
+    rig.report(1, 5.0)
+    assert len(shown) == count, 'nothing has changed'
+
+
+def test_a_report_that_was_decoded_before_the_rows_changed_is_dropped():
+    rig, early = Rig(rows={}), [SettingMessage(1, (0, 0, 128, 63))]
+    for layout in '<f', '<I', '<f':
+        rig.settings.add(*read_settings({'kp': {'setting': 1, 'layout': layout}}, 'k'))
+        for message in early:
+            rig.settings.received(message, True)
+        assert rig.shown() == (None, None, True) and rig.settings.values()[0][1] == 'kp=?'
+        early.append(rig.kinds[-1](1, 7))
+    rig.report(1, 1.5)
+    assert rig.shown() == (1.5, None, True)

@@ -7,11 +7,12 @@ import sys
 import termios
 import threading
 import time
+from unittest import mock
 
 import pytest
 import serial.serialposix
 
-from fake_boards import BusBoard, until
+from fake_boards import PATIENCE, BusBoard, until
 from waiting import Waiter
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
@@ -218,6 +219,50 @@ def test_a_port_that_is_lent_while_it_is_opened_is_never_written_to(line, logger
     back(link)
 
 
+@pytest.mark.parametrize('is_open', [True, False])
+def test_of_two_who_want_to_borrow_a_port_at_once_one_is_told_that_it_is_lent(
+        line, open_link, monkeypatch, is_open):
+    """The second one has found that it is not lent; the first one's call overtakes it."""
+    monkeypatch.setattr(lending, '_CLOSES_WITHIN', PATIENCE)
+    link = open_link(McuLink)
+    if not is_open:
+        line.unplug()
+        until(lambda: not link.port.is_open)
+    owner, name = (link.lending, '_do') if is_open else (link.port, 'lend_closed')
+    go_on, first = getattr(owner, name), []
+
+    def overtaken(argument):
+        monkeypatch.setattr(owner, name, go_on)
+        first.append(link.lending.lend('first', 10.0))
+        return go_on(argument)
+
+    monkeypatch.setattr(owner, name, overtaken)
+    assert link.lending.lend('second', 10.0) == refused('the port is lent to first')
+    assert first == [(True, 'lent to first for 10 s')] and link.port.loan.by == 'first'
+
+
+def test_a_loan_that_is_over_before_it_can_be_confirmed_is_refused(open_link, monkeypatch):
+    """The caller's thread stalls while the port closes."""
+    monkeypatch.setattr(lending, '_CLOSES_WITHIN', PATIENCE)
+    link = open_link(McuLink)
+    monkeypatch.setattr(link.port, 'has_closed',
+                        lambda: not (link.port.loan and link.port.loan.runs))
+    assert link.lending.lend('me', 0.2) == refused(
+        f'the loan was over before it could be confirmed: {lending.STALLED}')
+
+
+def test_a_loan_can_be_ended_while_the_port_still_closes(open_link, monkeypatch):
+    link, close, go_on = open_link(McuLink), Port.close, threading.Event()
+    monkeypatch.setattr(link.port, 'close', lambda: go_on.wait(PATIENCE) and close(link.port))
+    lender = Waiter(link.lending.lend, 'me', 10.0)
+    until(lambda: link.port.loan)
+    assert link.lending.lend('me', 0.0) == (True, 'the port is opened again')
+    assert not link.port.loan.runs
+    go_on.set()
+    assert not lender.result()[0], 'nor is the first call told that it is lent'
+    back(link)
+
+
 def test_an_opening_that_hangs_is_not_lent(line, logger, running, monkeypatch):
     monkeypatch.setattr(lending, '_CLOSES_WITHIN', 0.2)
     opening, go_on = threading.Event(), threading.Event()
@@ -250,13 +295,15 @@ def test_a_link_whose_thread_hangs_lends_nothing(open_link, monkeypatch, line):
     assert link.port.is_open and link.port.loan is None
 
 
-def test_a_call_from_a_stall_lends_and_resets_nothing(open_link, monkeypatch):
+@pytest.mark.parametrize('may_be_old', [
+    lambda: True, lambda: threading.current_thread() is not threading.main_thread()],
+    ids=['the caller', "the link's thread"])
+def test_a_call_from_before_a_stall_lends_and_resets_nothing(open_link, monkeypatch, may_be_old):
+    """The parameter: who finds the stall."""
     link = open_link(McuLink)
-    link.lending.line = 'rts'
-    link.port.is_pty = False
-    monkeypatch.setattr(link.lending, '_may_be_old', lambda: True)
-    for done, text in link.lending.lend('me', 5.0), link.lending.reset():
-        assert not done and 'while the bridge stalled' in text
+    monkeypatch.setattr(link.lending, '_may_be_old', may_be_old)
+    for answer in link.lending.lend('me', 5.0), reset_by(link, 'rts'):
+        assert answer == refused(lending.STALLED)
     assert link.port.is_open and link.connection.number == 1
 
 
@@ -312,14 +359,16 @@ def test_a_car_that_calibrates_is_not_lent(line, car):
     assert car.port.is_open and car.port.loan is None
 
 
-def test_a_car_whose_port_takes_nothing_is_lent_silent(line, car):
-    """Its SPEED 0 cannot be sent; without heartbeats it stops."""
-    with pytest.raises(Refused, match='takes no data'):
-        while True:
-            car.set_led('x' * 30)
-    lent(car)
-    line.read_all()
-    assert line.read(0.3) == b''
+def test_a_car_whose_port_takes_nothing_is_lent_with_speed_0_last(line, car):
+    """What waits in the port is dropped, so that it takes SPEED 0."""
+    with mock.patch.object(car.heartbeat, '_work', lambda heartbeat_due: False):
+        with pytest.raises(Refused, match='takes no data'):
+            while True:
+                car.set_led('x' * 30)
+        lent(car)
+    received = bytearray()
+    until(lambda: received.endswith(STOP), doing=lambda: received.extend(line.read(0.05)))
+    assert len(received) > 1000 and line.read(0.3) == b''
     car.lending.lend('avrdude', 0)
     assert STOP in line.read(5.0)[:len(STOP) + 1]
 

@@ -231,6 +231,20 @@ def test_a_step_of_the_clock_of_the_stamps_changes_no_difference(car):
         car.now += PERIOD
 
 
+@pytest.mark.parametrize('step', [-3600.0, -0.05, 3600.0])
+def test_a_step_of_the_clock_of_the_stamps_between_time_and_its_packet_gives_the_stamp_of_the_read(
+        car, step):
+    car.settle()
+    car.now += PERIOD
+    car.read(car.time(2))
+    ticks = arduino.encode(arduino.Ticks(1))
+    for late in 0.003, 0.004:
+        at = car.now + late
+        car.link.connection._receive(ticks, at + AHEAD + step, at)
+        assert car.got[-1][1] == pytest.approx(at + AHEAD + step, abs=1e-6)
+    assert car.measure(0.02) < 0.01, 'the next time is known'
+
+
 def test_stamps_are_made_earlier_by_the_function_of_the_caller(logger):
     car = Car(logger, earlier=lambda stamp, seconds: ('earlier', stamp - AHEAD, seconds))
     for _ in range(30):

@@ -8,7 +8,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from boards import until
+from boards import PATIENCE, until
 from selenium import webdriver
 from selenium.common.exceptions import StaleElementReferenceException, WebDriverException
 from selenium.webdriver.chrome.options import Options
@@ -73,7 +73,7 @@ class Browser:
 
     def script_until_done(self, text, *arguments):
         """Run a script that calls its last argument with its result."""
-        self.driver.set_script_timeout(20)
+        self.driver.set_script_timeout(PATIENCE)
         return self.driver.execute_async_script(text, *arguments)
 
     def all(self, selector):
@@ -107,7 +107,7 @@ class Browser:
         return self.script("return [...document.querySelectorAll('[data-reading]')]"
                            ".filter(e => e.checkVisibility()).map(e => e.dataset.reading)")
 
-    def wait(self, condition, what, seconds=20, doing=None, every=0.05):
+    def wait(self, condition, what, seconds=PATIENCE, doing=None, every=0.05):
         """Wait for `condition(self)`; call `doing` repeatedly until then."""
         def holds():
             try:
@@ -125,7 +125,7 @@ class Browser:
             shown[:] = [self.text(selector)]
             return shown == [text]
         try:
-            until(holds, '', 20, every=0.05)
+            until(holds, every=0.05)
         except AssertionError:
             raise AssertionError(f'{selector} shows {shown[0]!r}, not {text!r}') from None
 

@@ -243,7 +243,7 @@ class Launched(unittest.TestCase):
         """Send Ctrl-C; return the output and the exit status."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
-        status = self.process.wait(2 * PATIENCE)
+        status = self.process.wait(PATIENCE)
         self.output.seek(0)
         return self.output.read(), status
 

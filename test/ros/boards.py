@@ -100,7 +100,7 @@ class Bridge:
     def kill(self):
         """Kill it, if it runs."""
         self.process.kill()
-        self.process.wait(10)
+        self.process.wait(PATIENCE)
 
     def end(self, number=signal.SIGINT):
         """Send a signal; return the seconds until the process has ended, and its status.
@@ -115,7 +115,7 @@ class Bridge:
                 status = self.process.wait(PATIENCE)
             except subprocess.TimeoutExpired:
                 self.process.kill()
-                self.process.wait(10)
+                self.process.wait(PATIENCE)
                 raise AssertionError('still runs %g s after signal %d' % (PATIENCE, number))
             seconds = time.monotonic() - began
         return seconds / witness.slowdown, status
@@ -143,7 +143,7 @@ class Master:
         """End it, if it runs."""
         if self._process:
             self._process.kill()
-            self._process.wait(10)
+            self._process.wait(PATIENCE)
 
 
 class BoardsTest(unittest.TestCase):
@@ -312,7 +312,7 @@ def wait_for_launch(node=PACKAGE):
     roslaunch, what it starts before, and the bridge start one after the other. So the patience with
     one program is not enough on a busy machine.
     """
-    rospy.wait_for_service('/%s/calibrate_imu' % node, 4 * PATIENCE)
+    rospy.wait_for_service('/%s/calibrate_imu' % node, PATIENCE)
 
 
 def command_topic(name, message_class):

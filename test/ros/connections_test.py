@@ -141,7 +141,7 @@ class OutOfDescriptors(Short):
         for connection in self.open:
             connection.close()
         until(lambda: 300 in self.car.speeds, 'who came meanwhile is connected',
-              2 * PATIENCE, doing=lambda: late.publish(value=300), every=0.05)
+              doing=lambda: late.publish(value=300), every=0.05)
         self.assert_everybody_is_served()
         lines = self.bridge.output().count('out of file descriptors')
         self.assertLessEqual(lines, 1 + (time.monotonic() - began) / 10.0, self.bridge.output())

@@ -108,7 +108,7 @@ class Tutorial(unittest.TestCase):
                                              stdout=self.output, stderr=subprocess.STDOUT,
                                              start_new_session=True)
             # roslaunch, the simulated boards and the bridge start one after the other.
-            until(lambda: 'open' in self.said(), f'{line} opens a port', 4 * PATIENCE, every=0.1)
+            until(lambda: 'open' in self.said(), f'{line} opens a port', every=0.1)
             return
         # Repeat it if the bridge was not running yet, as a reader does. A tool of ROS that is ended
         # while it starts may never end. A build takes its time.

@@ -44,7 +44,7 @@ class DiffDriveTest(unittest.TestCase):
     @classmethod
     def end(cls):
         cls.launched.send_signal(signal.SIGINT)
-        cls.launched.wait(2 * PATIENCE)
+        cls.launched.wait(PATIENCE)
         cls.output.seek(0)
         text = cls.output.read()
         cls.output.close()
@@ -57,8 +57,7 @@ class DiffDriveTest(unittest.TestCase):
 
     def drive_until(self, condition, what, ahead, turn=0.0):
         """Publish a command until a condition holds."""
-        return until(condition, what, seconds=4 * PATIENCE, every=EVERY,
-                     doing=lambda: self.drive(ahead, turn))
+        return until(condition, what, every=EVERY, doing=lambda: self.drive(ahead, turn))
 
     def latest(self):
         """The latest odometry."""

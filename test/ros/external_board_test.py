@@ -42,7 +42,7 @@ class Program:
     def end(self):
         """Send Ctrl-C; return its exit status."""
         self.process.send_signal(signal.SIGINT)
-        return self.process.wait(2 * PATIENCE)
+        return self.process.wait(PATIENCE)
 
     def close(self):
         """Kill it, in case the test failed."""
@@ -72,7 +72,7 @@ class ExternalBoard(unittest.TestCase):
                                        f'config:={cls.config}'], env=cls.environment)
         cls.addClassCleanup(cls.end_launch)
         until(lambda: any(name == '/wind' for name, _ in rospy.get_published_topics()),
-              'the bridge is up', 4 * PATIENCE, every=0.1)
+              'the bridge is up', PATIENCE, every=0.1)
         cls.wind, cls.traffic = Topic('/wind', Vector3Stamped), Topic('/serial_msg', SerialMsg)
         cls.diagnostics = Diagnostics()
 
@@ -80,7 +80,7 @@ class ExternalBoard(unittest.TestCase):
     def end_launch(cls):
         """Send Ctrl-C to roslaunch."""
         cls.launch.send_signal(signal.SIGINT)
-        cls.launch.wait(2 * PATIENCE)
+        cls.launch.wait(PATIENCE)
 
     def start(self, *command):
         """Start a program of the package, which ends with the test."""
@@ -91,7 +91,7 @@ class ExternalBoard(unittest.TestCase):
     def run_program(self, *command):
         """Run a program; return its exit status and output."""
         started = self.start(*command)
-        return started.process.wait(4 * PATIENCE), started.output()
+        return started.process.wait(PATIENCE), started.output()
 
     def say(self, data, line=None):
         with open((line or self.line).far, 'wb', buffering=0) as board:
@@ -127,8 +127,7 @@ class ExternalBoard(unittest.TestCase):
     def test_its_simulator_works_like_the_built_in_ones_and_the_monitor_shows_its_link(self):
         self.start('simulator', 'wind_sensor', '--port', self.line.far, '--fault', 'drop=0.1',
                    '--seed', '1')
-        self.wind.next(lambda m: abs(hypot(m.vector.x, m.vector.y) - 5) < 1e-6,
-                       seconds=4 * PATIENCE)
+        self.wind.next(lambda m: abs(hypot(m.vector.x, m.vector.y) - 5) < 1e-6)
         self.diagnostics.fresh('wind', lambda s: s.level == OK, 'the link is OK')
         status, output = self.run_program('monitor', '--once')
         self.assertEqual(status, 0, output)
@@ -152,7 +151,7 @@ class ExternalBoard(unittest.TestCase):
         listener = self.start('wire', 'listen', 'wind', line.near, '--config', self.config,
                               '--json', '--raw', kept)
         until(lambda: TEXT in listener.output(), 'a sentence is shown',
-              4 * PATIENCE, doing=lambda: self.say(GUST, line), every=0.1)
+              doing=lambda: self.say(GUST, line), every=0.1)
         self.assertEqual(listener.end(), 0)
         status, output = self.run_program('wire', 'stats', kept, '--config', self.config, '--json')
         self.assertEqual(status, 0, output)

@@ -74,7 +74,7 @@ class Flashing(unittest.TestCase):
         """Send Ctrl-C; return the output."""
         if self.launched.poll() is None:
             self.launched.send_signal(signal.SIGINT)
-        self.assertEqual(self.launched.wait(2 * PATIENCE), 0)
+        self.assertEqual(self.launched.wait(PATIENCE), 0)
         self.output.seek(0)
         return self.output.read()
 

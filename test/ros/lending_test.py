@@ -11,9 +11,9 @@ import rospy
 import rostest
 from std_srvs.srv import Empty, Trigger
 
-from boards import (ERROR, NOT_SENT, PACKAGE, SPEED_0_PACKET, WARN, BoardsTest, Bridge, BusBoard,
-                    CarBoard, Diagnostics, Line, again_if_stalled, own_folder, program, service,
-                    until)
+from boards import (ERROR, NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, WARN, BoardsTest, Bridge,
+                    BusBoard, CarBoard, Diagnostics, Line, again_if_stalled, own_folder, program,
+                    service, until)
 from serial_communication.boards.arduino.wire import Ticks
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Lift, Release
@@ -84,7 +84,7 @@ class LendingTest(BoardsTest):
 
     def ends(self, process, status):
         """Check the exit status of the program, whose output is then returned."""
-        self.assertEqual(process.wait(15), status)
+        self.assertEqual(process.wait(PATIENCE), status)
         return process.stdout.read()
 
     @staticmethod
@@ -196,7 +196,7 @@ class LendingTest(BoardsTest):
               doing=lambda: shown.append(screen.read(1000) or b''))
         self.board.forget()
         screen.write(b'\x1d')       # Ctrl-]
-        self.assertEqual(process.wait(15), 0)
+        self.assertEqual(process.wait(PATIENCE), 0)
         self.check_back()
 
     def test_the_exit_status_is_the_commands(self):
@@ -256,7 +256,7 @@ class LendingTest(BoardsTest):
         self.board.forget()
         kill(process)
         self.check_back()
-        process.wait(15)
+        process.wait(PATIENCE)
         self.drive()
 
     def test_kill_of_the_command(self):
@@ -295,7 +295,7 @@ class LendingTest(BoardsTest):
         self.check_state(WARN, 'lent to python3')       # renewed
         self.check_lent()
         process.terminate()
-        process.wait(15)
+        process.wait(PATIENCE)
         self.check_back(4.0)
 
     def test_kill_of_the_bridge_that_does_not_return(self):

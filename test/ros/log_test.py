@@ -195,7 +195,7 @@ class NoLogFile(unittest.TestCase):
         self.lock(os.path.join(self.home, 'log'))
         done = subprocess.run(self.before + [program('monitor'), '--once', '--node', 'absent'],
                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                              timeout=4 * PATIENCE)
+                              timeout=PATIENCE)
         self.assertIn('monitor: no bridge /absent', done.stderr)
         self.assertIn('the log cannot be written to ', done.stderr)
         self.assertNotIn('Traceback', done.stderr)

@@ -119,7 +119,7 @@ class StartTest(MasterTest):
 
     def assert_it_works(self, name):
         """The bridge has its port and all its names."""
-        until(lambda: not self.bridge.alive or self.is_up(name), 'the bridge is up', 4 * PATIENCE)
+        until(lambda: not self.bridge.alive or self.is_up(name), 'the bridge is up')
         self.assertTrue(self.bridge.alive, self.bridge.output())
         self.car.wait_for_heartbeats(1)
         self.assert_ends()
@@ -198,7 +198,7 @@ class StartTest(MasterTest):
             return False
 
         self.start('waits', answered)
-        self.assertTrue(asked.wait(2 * PATIENCE))
+        self.assertTrue(asked.wait(PATIENCE))
         self.assert_ends()
 
 

@@ -107,7 +107,7 @@ class Mistakes(unittest.TestCase):
         os.environ['PYTHONPATH'] = cls.path
         if cls.launch.poll() is None:
             cls.launch.send_signal(signal.SIGINT)
-            cls.launch.wait(3 * PATIENCE)
+            cls.launch.wait(PATIENCE)
         shutil.rmtree(cls.folder)
 
     def absent(self, name):
@@ -118,7 +118,7 @@ class Mistakes(unittest.TestCase):
         """Run a node with these parameters until it ends; return its status and output."""
         bridge = Bridge(name, parameters, arguments)
         try:
-            return bridge.process.wait(3 * PATIENCE), bridge.output()
+            return bridge.process.wait(PATIENCE), bridge.output()
         except subprocess.TimeoutExpired:
             return 'it goes on', bridge.output()
         finally:
@@ -208,7 +208,7 @@ class Mistakes(unittest.TestCase):
             with open(self.launch_output) as file:
                 return file.read()
 
-        until(lambda: 'bus/baud is 1 (int)' in text(), 'it is said', 3 * PATIENCE)
+        until(lambda: 'bus/baud is 1 (int)' in text(), 'it is said')
         # A node that ends would be started again within 12 s; most of these have already passed.
         until(lambda: time.time() > os.path.getmtime(self.launch_output) + 12.0,
               'the time passes', 20.0)
@@ -216,7 +216,7 @@ class Mistakes(unittest.TestCase):
         self.assertNotIn('process has died', text())
         self.assertTrue(rosgraph.Master('/mistakes_test').lookupNode('/launched'))
         self.launch.send_signal(signal.SIGINT)
-        self.assertEqual(self.launch.wait(3 * PATIENCE), 0)
+        self.assertEqual(self.launch.wait(PATIENCE), 0)
         self.assertNotIn('escalating', text())
         self.assertNotIn('Traceback', text())
 

@@ -29,7 +29,7 @@ def start_and_read(number, parameter, value):
     """Status and output of a bridge with this parameter, which ends by itself."""
     bridge = Bridge('wrong_%d' % number, {parameter: value})
     try:
-        return bridge.process.wait(2 * PATIENCE), bridge.output()
+        return bridge.process.wait(PATIENCE), bridge.output()
     except subprocess.TimeoutExpired:
         return 'it goes on', bridge.output()
     finally:

@@ -44,7 +44,7 @@ class WhileOneRuns(unittest.TestCase):
     def tearDownClass(cls):
         if cls.first is not None:
             cls.first.process.kill()
-            cls.first.process.wait(10)
+            cls.first.process.wait(PATIENCE)
         cls.car.close()
         cls.line.unplug()
         shutil.rmtree(cls.folder)
@@ -112,7 +112,7 @@ class WhileOneRuns(unittest.TestCase):
             old = self.bridge
             old.process.send_signal(number)
             if number == signal.SIGKILL:
-                old.process.wait(10)
+                old.process.wait(PATIENCE)
             self.bridge = self.start()
             until(lambda: self.master.lookupNode(NAME) != self.address, 'the new one has the name')
             self.address = self.master.lookupNode(NAME)
@@ -176,15 +176,13 @@ class SimultaneousStart(unittest.TestCase):
             return None
 
     def assert_one_lives(self):
-        until(lambda: len([each for each in self.pair if each.alive]) == 1, 'one of them has ended',
-              4 * PATIENCE)
+        until(lambda: len([each for each in self.pair if each.alive]) == 1, 'one of them has ended')
         lives, = [each for each in self.pair if each.alive]
         ended, = [each for each in self.pair if not each.alive]
         said = lines_of(ended.output())
         self.assertEqual(ended.process.returncode, TAKEN, said)
         self.assertEqual([line for line in said if 'is already running' in line], said[-1:])
-        until(lambda: self.owner() == lives.process.pid, 'the other one has the name',
-              4 * PATIENCE)
+        until(lambda: self.owner() == lives.process.pid, 'the other one has the name')
         self.assertNotIn('Traceback', ended.output() + lives.output())
         _seconds, status = lives.end()
         self.assertEqual(status, 0, lives.output())
@@ -221,15 +219,14 @@ class SimultaneousStart(unittest.TestCase):
         hangs = self.start()
         until(lambda: self.have_met() == 1, 'the first one has found the name free')
         second = self.start(meets=False, waits=2.0)
-        until(lambda: self.owner() == second.process.pid, 'the second one has the name',
-              2 * PATIENCE)
+        until(lambda: self.owner() == second.process.pid, 'the second one has the name')
         self.assertTrue(hangs.alive)
 
     def test_a_displaced_bridge_starts_again_if_the_name_is_free_and_ctrl_c_ends_it(self):
         bridge = self.start(meets=False)
 
         def displace(before=''):
-            until(lambda: self.owner(before) == bridge.process.pid, 'it has the name', 2 * PATIENCE)
+            until(lambda: self.owner(before) == bridge.process.pid, 'it has the name')
             address = self.master.lookupNode('/twin')
             rosgraph.Master('/twin').registerSubscriber('/any', 'std_msgs/Empty',
                                                         'http://localhost:1/')
@@ -238,7 +235,7 @@ class SimultaneousStart(unittest.TestCase):
         bridge.wait_for('another node has registered as /twin')
         displace(first)     # which may register something else before it ends
         until(lambda: bridge.output().count('another node has registered as /twin') == 2,
-              'it is displaced again', 2 * PATIENCE)
+              'it is displaced again', PATIENCE)
         _seconds, status = bridge.end(signal.SIGINT)
         self.assertEqual(status, 0, bridge.output())
         self.assertNotIn('Traceback', bridge.output())

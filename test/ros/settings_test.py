@@ -1,22 +1,29 @@
 #!/usr/bin/python3
 """Settings of boards: set with dynamic_reconfigure's own client and `dynparam`, over real ttys."""
+import math
 import os
 import shutil
 import subprocess
 import sys
 import unittest
+from types import SimpleNamespace
+from unittest import mock
 
 import dynamic_reconfigure.client
 import rospy
 import rostest
 import yaml
+from dynamic_reconfigure.srv import Reconfigure
 
-from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Master, Rosout, own_folder,
-                    program, until)
+from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Master, Rosout,
+                    again_if_stalled, own_folder, program, until)
 from serial_communication.boards.arduino import settings as read_settings
 from serial_communication.boards.arduino import wire
 from serial_communication.framing.announcement import chunks_of
 from serial_communication.framing.settings import SettingMessage, message_of
+from serial_communication.link.settings import BoardSettings
+from serial_communication.link.sparing_log import SparingLog
+from serial_communication.ros.settings import request_of, serve
 
 NAME = '/' + PACKAGE + '/settings/arduino'
 ROWS = {
@@ -119,13 +126,29 @@ class SettingsTest(unittest.TestCase):
         self.assertFalse(rospy.has_param(NAME + '/nothing'))
 
     def test_a_value_over_the_limit_of_the_row_or_of_the_board_comes_back_limited(self):
+        def comes_back_limited():
+            return self.client.update_configuration({'kp': 9.0}).kp == 5.0
+
+        again_if_stalled(comes_back_limited)
+        self.rosout.wait_for(PACKAGE, 'kp cannot be 9.0: the board uses 5.0',
+                             doing=comes_back_limited)
         self.assertEqual(self.client.update_configuration({'ramp': 5000}).ramp, 1000)
         self.client.update_configuration({'ramp': 250})
-        values = self.client.update_configuration({'kp': 9.0})
-        self.assertEqual(values.kp, 5.0)
-        self.rosout.wait_for(PACKAGE, 'kp cannot be 9.0: the board uses 5.0')
         self.diagnostics.wait_for('arduino', lambda status: status.keys[
             'settings unconfirmed'] == '', 'all are confirmed')
+
+    def test_a_refused_value_makes_nothing_wanted(self):
+        rate = self.car.values[4]
+        self.configuration(lambda values: values.rate == rate)
+        self.assertEqual(self.client.update_configuration({'rate': math.nan}).rate, rate)
+        self.rosout.wait_for(PACKAGE, 'the setting rate cannot be nan')
+        before = self.car.values[3]
+        for value in not before, before:
+            self.client.update_configuration({'reverse': value})
+            until(lambda value=value: rospy.get_param(NAME + '/reverse', None) == value,
+                  'the next parameter')
+        self.assertFalse(rospy.has_param(NAME + '/rate'))
+        self.assertNotIn(4, [number for number, _ in self.car.settings()])
 
     def test_a_deaf_board_is_named_until_it_confirms(self):
         self.car.hears = False
@@ -184,6 +207,76 @@ class SettingsTest(unittest.TestCase):
         self.rosout.wait_for(PACKAGE, 'arduino/settings/kp has the same name, differs',
                              doing=lambda: [self.car.say(chunk) for chunk in
                                             chunks_of(text.encode(), 60)])
+
+
+class ServerTest(unittest.TestCase):
+    """The settings of a link in this process, without a board."""
+
+    def setUp(self):
+        self.name = rospy.resolve_name('~settings/arduino')
+        self.added = []
+
+    def tearDown(self):
+        self.end()
+        if rospy.has_param(self.name):
+            rospy.delete_param(self.name)
+
+    def start(self, rows):
+        """As a node starts."""
+        self.kinds, self.log = [], mock.Mock()
+        self.settings = BoardSettings(SparingLog('arduino', self.log), self.kinds.append,
+                                      lambda: None)
+        self.added = [self.settings.add(row) for row in read_settings(rows)]
+        link = SimpleNamespace(name='arduino', board_settings=self.settings, log=self.log)
+        serve([link], rospy.get_param('~', {}),
+              SimpleNamespace(submit=lambda function: function()), self.log)
+
+    def end(self):
+        while self.added:
+            self.added.pop()()
+
+    def test_what_a_limit_is_rounded_to_is_a_parameter_of_the_next_start(self):
+        rows = {'angle': {'setting': 1, 'layout': '<f', 'minimum': -3.14159265,
+                          'maximum': 3.14159265}}
+        for limit, rounded in (-3.14159265, -3.1415927), (3.14159265, 3.1415927):
+            self.start(rows)
+            self.settings.want('angle', limit)
+            self.assertEqual(rospy.get_param(self.name + '/angle'), rounded)
+            self.end()
+            self.start(rows)
+            self.assertEqual(self.settings.shown()['angle'], (None, rounded, False))
+            self.end()
+
+    def test_a_row_whose_positive_minimum_rounds_down_starts_without_a_value(self):
+        self.start({'angle': {'setting': 1, 'layout': '<f', 'minimum': 0.0174532925}})
+        self.assertEqual(self.settings.shown()['angle'], (None, None, True))
+        self.assertEqual(self.settings.wanted, {})
+
+    def test_a_limited_value_does_not_take_the_place_of_another_clients_value(self):
+        def answer(_names, _seconds):
+            for now in 100.0, 101.0, 102.0:
+                self.settings.send(now, lambda message: None, True)
+                self.settings.received(self.kinds[-1](1, 5.0), True)
+
+        self.start(ROWS)
+        kp = next(row for row in self.settings.rows if row.name == 'kp')
+        self.log.warn.side_effect = lambda *_: self.settings.want('kp', 3.0)     # just then
+        with mock.patch.object(self.settings, 'wait', answer):
+            rospy.ServiceProxy(self.name + '/set_parameters', Reconfigure)(request_of(kp, 9.0))
+        self.assertIn('kp cannot be 9.0: the board uses 5.0', self.log.warn.call_args[0][1])
+        self.assertEqual(self.settings.shown()['kp'], (5.0, 3.0, False))
+
+    def test_a_parameter_that_could_not_be_set_is_set_with_the_next_change(self):
+        self.start(ROWS)
+        with mock.patch.object(rospy, 'set_param', side_effect=OSError('no route')):
+            self.settings.want('kp', 2.0)
+        self.assertIn('kp cannot be set now (no route)', self.log.warn.call_args[0][1])
+        self.assertFalse(rospy.has_param(self.name))
+        self.settings.want('ramp', 300)
+        self.assertEqual(rospy.get_param(self.name), {'kp': 2.0, 'ramp': 300})
+        with mock.patch.object(rospy, 'set_param') as set_param:
+            self.settings.want('ramp', 400)
+        set_param.assert_called_once_with('~settings/arduino/ramp', 400)
 
 
 class OtherBridges(unittest.TestCase):

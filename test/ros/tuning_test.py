@@ -83,7 +83,7 @@ class Tuning(unittest.TestCase):
                                       cwd=self.folder)]
             return done[0].returncode == 0 and shown in (None, done[0].stdout.replace(
                 self.folder, '/tmp'))
-        until(succeeds, f'{line} succeeds; it shows {shown}', 8 * PATIENCE)
+        until(succeeds, f'{line} succeeds; it shows {shown}', 2 * PATIENCE)
         return done[0].stdout
 
     def emulated(self):
@@ -95,7 +95,7 @@ class Tuning(unittest.TestCase):
 
     def until_announced(self, publisher):
         """Wait until the bridge knows the rows; each is sent many times in these seconds."""
-        until(lambda: os.path.exists(self.folder + '/control'), 'the chip runs', 4 * PATIENCE)
+        until(lambda: os.path.exists(self.folder + '/control'), 'the chip runs')
         end = self.emulated() + ANNOUNCED
         while not (publisher.get_num_connections() and self.speeds):
             self.assertLess(self.emulated(), end, 'the rows are not announced')
@@ -109,10 +109,10 @@ class Tuning(unittest.TestCase):
     def response(self):
         """The speeds, every 10 ms, from the first motion after a step."""
         self.target = 0.0
-        until(lambda: self.speeds and self.speeds[-1] == 0, 'the wheel stands', 2 * PATIENCE)
+        until(lambda: self.speeds and self.speeds[-1] == 0, 'the wheel stands')
         del self.speeds[:]
         self.target = STEP
-        until(lambda: len(self.speeds) > 400, '4 s', 2 * PATIENCE)
+        until(lambda: len(self.speeds) > 400, '4 s')
         return list(itertools.dropwhile(lambda speed: speed == 0, self.speeds))
 
     def rises_in(self, least, most):
@@ -151,7 +151,7 @@ class Tuning(unittest.TestCase):
         path = os.path.join(self.folder, 'session')
         with open(path, 'w') as file:
             file.write(session)
-        done = subprocess.run([sys.executable, '-m', 'doctest', path], timeout=8 * PATIENCE,
+        done = subprocess.run([sys.executable, '-m', 'doctest', path], timeout=2 * PATIENCE,
                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding='utf-8')
         self.assertEqual((done.returncode, done.stdout), (0, ''))
 

@@ -13,11 +13,10 @@ import rospy
 import rostest
 from tf2_msgs.msg import TFMessage
 
-from boards import PACKAGE, Topic, until
+from boards import PACKAGE, PATIENCE, Topic, until
 
 HERE = Path(__file__).resolve().parent
 CONFIG = HERE.parents[1] / 'config' / 'view.rviz'
-PATIENCE = 60.0      # s; software rendering on a busy machine
 
 
 class View(unittest.TestCase):

@@ -176,7 +176,7 @@ class WireTest(unittest.TestCase):
                 stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True)
                 for link in FAULTS}
             for link, player in players.items():    # all three start, and read the bag, at once
-                _, trouble = player.communicate(timeout=SECONDS + 4 * PATIENCE)
+                _, trouble = player.communicate(timeout=SECONDS + PATIENCE)
                 self.assertEqual(player.returncode, 0, trouble)
                 self.assertIn('invalid frames of the bag are left out', trouble)
             desk.settle()

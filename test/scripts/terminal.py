@@ -9,7 +9,7 @@ import termios
 import threading
 import time
 
-PATIENCE = 60.0      # s; only a failing test waits so long
+from waiting import PATIENCE
 
 
 class Terminal:
@@ -96,7 +96,7 @@ class Terminal:
         """End the program if it still runs, after a failed test."""
         if not self._ended.is_set():
             os.kill(self.pid, signal.SIGTERM)
-            if not self._ended.wait(10):
+            if not self._ended.wait(PATIENCE):
                 os.kill(self.pid, signal.SIGKILL)
-                self._ended.wait(10)
+                self._ended.wait(PATIENCE)
         os.close(self._far)

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import pytest
 from programs import arguments_of, free_master, processes_with
-from waiting import until
+from waiting import PATIENCE, until
 
 DEMO = Path(__file__).resolve().parents[2] / 'scripts' / 'demo'
-PATIENCE = 60.0      # s; only a failing test waits so long
 
 
 @pytest.fixture(name='folder')
@@ -66,7 +65,7 @@ def test_the_end_of_roslaunch_ends_the_demo_with_its_last_lines(folder):
     with started(folder, [DEMO], free_master()) as demo:
         log = DEMO.parents[1] / 'build' / 'ros' / 'log' / f'demo_{demo.pid}.log'
         until(lambda: log.exists() and 'process[serial_communication-' in log.read_text(),
-              'roslaunch has output', PATIENCE)
+              'roslaunch has output')
         roslaunch, = [pid for pid in running(folder) if '--skip-log-check' in arguments_of(pid)]
         os.kill(roslaunch, signal.SIGKILL)
         errors = demo.communicate(timeout=PATIENCE)[1]

@@ -66,7 +66,7 @@ def fixture_suite(tmp_path):
 ], ids=['green', 'three green', 'one red', 'no test'])
 def test_the_status_is_that_of_the_tests(suite, tests, status, last):
     process = suite(**tests)
-    said = process.communicate(timeout=4 * PATIENCE)[0]
+    said = process.communicate(timeout=PATIENCE)[0]
     assert said.splitlines()[-1] == last
     assert process.returncode == status
 
@@ -76,7 +76,7 @@ def test_each_folder_of_a_part_is_a_process_without_a_conftest_above_the_checkou
     below = tmp_path / 'checkout/test/boards/below'
     below.mkdir(parents=True)
     (below / 'test_it.py').write_text(GREEN)    # in one process, two files of one name clash
-    said = suite(boards=GREEN).communicate(timeout=4 * PATIENCE)[0]
+    said = suite(boards=GREEN).communicate(timeout=PATIENCE)[0]
     assert {line.split()[1] for line in said.splitlines() if line.startswith('==> ')} == {
         'boards', 'boards-below'}
     assert said.splitlines()[-1] == '2 passed, 0 failed'
@@ -95,7 +95,7 @@ def test_quick_leaves_out_slow_tests_and_parts_that_need_ros(suite, tmp_path):
         'import pytest\npytestmark = pytest.mark.slow\n' + RED)
     (tmp_path / 'checkout/test/panel/test_it.py').write_text(RED)
     process = suite(quick=None)
-    said = process.communicate(timeout=4 * PATIENCE)[0]
+    said = process.communicate(timeout=PATIENCE)[0]
     assert said.splitlines()[-1] == f'{len(parts)} passed, 0 failed'
 
 
@@ -103,7 +103,7 @@ def test_quick_leaves_out_slow_tests_and_parts_that_need_ros(suite, tmp_path):
 def test_continuous_integration_uses_no_variable_of_this_machine(suite, tmp_path, home):
     process = suite('.ci/run', {'PATH': os.environ['PATH'], 'PYTHONUNBUFFERED': '1',
                                 'ANYTHING': 'else', **home}, framing=SAVES_ENVIRONMENT)
-    said = process.communicate(timeout=4 * PATIENCE)[0]
+    said = process.communicate(timeout=PATIENCE)[0]
     assert said.splitlines()[-1] == '1 passed, 0 failed'
     seen = json.loads((tmp_path / 'checkout/test/framing/environment').read_text())
     assert os.path.isabs(seen['HOME']) and seen['HOME'] == home.get('HOME', seen['HOME'])

@@ -23,7 +23,7 @@ def run(*command, **environment) -> str:
     """Return a linter's output; if it fails, the test fails with that output."""
     if not shutil.which(str(command[0])):
         pytest.fail('%s is missing; scripts/test installs it' % command[0])
-    done = subprocess.run([str(each) for each in command], cwd=str(ROOT), text=True, timeout=120,
+    done = subprocess.run([str(each) for each in command], cwd=str(ROOT), text=True,
                           env={**os.environ, **environment},
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
     if done.returncode:

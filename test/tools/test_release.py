@@ -1,7 +1,10 @@
 """What the program `release` asks the master. test/ros/lending_test.py runs it."""
+import signal
+
 import pytest
 import rosgraph
 
+from serial_communication.link import lending
 from serial_communication.link.lending import STALLED
 from serial_communication.link.outcome import Verdict
 from serial_communication.tools.release import cli
@@ -39,3 +42,41 @@ def test_a_loan_that_is_refused_after_a_stall_is_asked_for_again(monkeypatch):
     monkeypatch.setattr(cli, '_AGAIN_FOR', 0.0)
     monkeypatch.setattr(cli, 'call', lambda *_arguments: stalled)
     assert STALLED in cli._Loan('/bridge/arduino/release', 'me').begin()
+
+
+def test_two_releases_of_a_program_with_a_long_name_are_two_borrowers(monkeypatch, tmp_path):
+    class Loan:
+        def __init__(self, _service, by):
+            borrowers.append(by[:lending._LONGEST_NAME])
+
+        begin = end = lambda self: 'not lent: it is a test'
+
+    borrowers, command = [], tmp_path / ('x' * 80)
+    command.touch(0o755)
+    monkeypatch.setattr(cli, '_Loan', Loan)
+    for name in 'prepare_output', '_device', '_Command':
+        monkeypatch.setattr(cli, name, lambda *_arguments: '')
+    monkeypatch.setattr(cli.master_calls, 'limit_time', lambda: None)
+    for pid in 4194303, 4194302:        # no pid of Linux is longer
+        monkeypatch.setattr(cli.os, 'getpid', lambda pid=pid: pid)
+        assert cli.main(['arduino', '--', str(command)]) == 125
+    assert len(set(borrowers)) == 2
+
+
+@pytest.fixture
+def handled():
+    """The signals that the program `release` handles; their handlers are put back."""
+    before = {number: signal.getsignal(number)
+              for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    yield before
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def test_a_hangup_does_not_end_a_command_under_nohup(handled):
+    """Neither if `release` gets it, nor if the command does."""
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)        # as nohup does
+    command = cli._Command(['sh', '-c', 'kill -HUP $PPID $$; exit 7'])
+    assert command.run() == 7
+    assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    assert signal.getsignal(signal.SIGTERM) != handled[signal.SIGTERM]

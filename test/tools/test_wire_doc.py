@@ -6,7 +6,8 @@ import sys
 
 import pytest
 
-from wire_lines import PATIENCE, ROOT
+from waiting import PATIENCE
+from wire_lines import ROOT
 
 DOC = os.path.join(ROOT, 'doc')
 with open(os.path.join(DOC, 'wire.md'), encoding='utf-8') as page:

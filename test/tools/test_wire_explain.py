@@ -17,7 +17,8 @@ from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NotHex
 from serial_communication.tools.wire.recording import (Read, Recording, frames_of,
                                                        learned_from)
-from wire_lines import LINKS, PATIENCE, ROOT, as_bag, damaged_reads, settings, vectors
+from waiting import PATIENCE
+from wire_lines import LINKS, ROOT, as_bag, damaged_reads, settings, vectors
 
 PROGRAM = [sys.executable, ROOT + '/scripts/wire', 'explain']
 TO_ARDUINO = (4, 5, 6, 11, 12)      # message types that only a computer sends

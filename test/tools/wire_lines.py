@@ -13,7 +13,6 @@ from serial_communication.tools.wire.recording import Read, RecordedFrame, Recor
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 LINKS = ('bus', 'arduino', 'mcu')
-PATIENCE = 15.0      # s; only a failing test waits so long
 
 
 class Target:

@@ -16,9 +16,9 @@ from fake_boards import PATIENCE, until
 from lines import Rfc2217Server
 from waiting import Waiter, again_if_stalled
 
-from serial_communication.transport.pace import set_priority
+from serial_communication.transport.pace import clock, set_priority
 from serial_communication.transport.holders import Holder, holders_of
-from serial_communication.transport.port import Port, PortBusy, PortError
+from serial_communication.transport.port import Loan, Port, PortBusy, PortError
 from serial_communication.transport.urls import check_url, read_url
 
 
@@ -244,6 +244,16 @@ def test_the_holder_is_looked_up_once_for_many_tries(line, monkeypatch):
         port.open()         # so the next holder may be another one
         port.close()
         looked_up.clear()
+
+
+def test_a_loan_that_is_renewed_while_the_holders_are_looked_up_goes_on(line, monkeypatch):
+    port, renewed = Port(line.path), Loan('me', clock() + PATIENCE)
+    assert port.lend_closed(Loan('me', clock())), 'which is over at once'
+    monkeypatch.setattr('serial_communication.transport.port.holders_of',
+                        lambda path: [] if port.lend_closed(renewed) else ['the port is open'])
+    with pytest.raises(PortError, match='^lent to me$'):
+        port.open()
+    assert port.loan is renewed and not port.is_open
 
 
 @pytest.mark.parametrize('url, lower, scheme', [

@@ -60,6 +60,27 @@ def test_settings_changed_by_another_program_are_named_and_restored(port, line, 
     assert line.read_all() == EVERY_BYTE, 'changed bytes, or an echo'
 
 
+@pytest.mark.parametrize('again', ['icanon', 'echo'])
+def test_settings_that_are_changed_just_after_they_were_restored_are_restored_again(
+        port, line, monkeypatch, again):
+    before = stty(line.path, '-g')
+    stty(line.path, 'icanon')
+    with monkeypatch.context() as other:
+        write = tty_settings.write
+        other.setattr(tty_settings, 'write',
+                      lambda fd, settings: write(fd, settings) or stty(line.path, again))
+        assert 'icanon' in port.restore_settings()
+    assert again in port.restore_settings()
+    assert stty(line.path, '-g') == before
+
+
+def test_a_device_that_does_not_take_its_settings_is_left_alone_after_3_tries(
+        port, line, monkeypatch):
+    monkeypatch.setattr(tty_settings, 'write', lambda fd, settings: None)
+    stty(line.path, 'icanon')
+    assert ['icanon' in port.restore_settings() for _ in range(5)] == [True] * 3 + [False] * 2
+
+
 def test_a_nonstandard_baud_rate_is_restored(line):
     port = Port(line.path, 31250)
     port.open()

@@ -26,6 +26,11 @@ _HEARTBEAT = wire.Heartbeat()
 _HEARTBEAT_PACKET = wire.encode(_HEARTBEAT)
 
 
+def _is_speed_0(message: LayoutMessage) -> bool:
+    # Messages are tuples, so every other message of one value that is 0 is equal to SPEED 0.
+    return isinstance(message, wire.SpeedCommand) and not message.value
+
+
 class CarOutput:
     """Takes commands from any thread; each is written to an open port at once, or refused.
 
@@ -58,6 +63,8 @@ class CarOutput:
             self._check_for_stall(now)
             why, cause = self._why_not(message, now)
             if why:
+                if cause == 'busy':
+                    self._stop_later(message)
                 raise Refused(f'{message} refused: {why}', cause)
             calibrates = isinstance(message, wire.ImuCalibration)
             try:
@@ -65,11 +72,18 @@ class CarOutput:
                     self._send(_SPEED_0, now)
                 self._send(message, now)
             except (PortBusy, PortError) as error:
-                # The heartbeat thread drops the blocked output before anything else is sent.
                 busy = isinstance(error, PortBusy)
+                if busy:
+                    self._stop_later(message)
                 raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
             if calibrates:
                 self.calibration = Calibration(self._calibration_timeout, now)
+
+    def _stop_later(self, message: LayoutMessage) -> None:
+        """If this is SPEED 0, which the port does not take: send it as soon as the port does. The
+        heartbeat thread may not see that the port was blocked."""
+        if _is_speed_0(message):
+            self.motor.forget_speed()
 
     def _why_not(self, message: LayoutMessage, now: float) -> Tuple[str, str]:
         """Why the message cannot be sent now, in words, and as a cause; '' if it can."""
@@ -116,6 +130,8 @@ class CarOutput:
                     self.warn('speed timeout', f'no speed command for {self._speed_timeout:g} s: '
                               'sent SPEED 0')
                 if heartbeat_due:
+                    now = clock()       # the bridge may have stalled since
+                    self._check_for_stall(now)
                     self._send(_HEARTBEAT, now)
                 return heartbeat_due
             except PortBusy:
@@ -158,7 +174,8 @@ class CarOutput:
     def hold(self, is_held: bool) -> None:
         """Refuse commands, or accept them again, and drop what waits."""
         with self.lock:
-            self._drop()     # also at the end: the heartbeats that waited
+            if not self._has_ended:     # else it would drop the last SPEED 0
+                self._drop()     # also at the end of the silence: the heartbeats that waited
             self.is_held = is_held
 
     def closed(self) -> None:
@@ -168,7 +185,7 @@ class CarOutput:
                 self.warn('moved', 'the port closed while the car may have been moving: '
                           'SPEED 0 is sent first when it is open again')
             self.motor.forget_speed()
-            self._cut_off = self.is_held = False
+            self._cut_off, self.is_held = True, False     # closing may have cut a packet
 
     def altered(self) -> None:
         """What was sent may have been changed on the way."""
@@ -189,7 +206,7 @@ class CarOutput:
             PortBusy, PortError: the packet was not sent, but SPEED 0 may have been.
             Refused: likewise; the bridge has stalled since `now`, when it was allowed.
         """
-        if self.motor.speed_unknown and message != _SPEED_0:
+        if self.motor.speed_unknown and not _is_speed_0(message):
             self._send(_SPEED_0, now)
         if message is _HEARTBEAT and not (self._link.tap or self._cut_off):
             # A shortcut for the most frequent packet while no `tap` gets it.
@@ -200,7 +217,7 @@ class CarOutput:
         packet = wire.encode_raw(message.TYPE, data)
         # After a packet that was cut off, a 0x00 ends the part that the board has received.
         packet = b'\0' + packet if self._cut_off else packet
-        if clock() > now + STALL and message not in (_SPEED_0, _HEARTBEAT):
+        if clock() > now + STALL and not (message is _HEARTBEAT or _is_speed_0(message)):
             raise Refused(f'{message} refused: {_STALLED}', 'stall')
         self._port.write(packet)
         self._cut_off = False
@@ -210,7 +227,11 @@ class CarOutput:
 
     def _stop(self) -> None:
         try:
-            self._send(_SPEED_0, clock())
+            try:
+                self._send(_SPEED_0, clock())
+            except PortBusy:        # what waits is older, and may be a speed
+                self._drop_backlog()
+                self._send(_SPEED_0, clock())
         except (PortBusy, PortError):
             pass
         except Exception:  # pylint: disable=broad-except

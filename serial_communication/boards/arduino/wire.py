@@ -247,7 +247,10 @@ class _Decoder:
     def __init__(self, check_plausibility: bool = True,
                  messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         self.errors = dict.fromkeys((FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE), 0)
-        self._unchecked = frozenset(() if check_plausibility else self._messages)
+        # A count over 16 in TIME would give its time to packets of later measurements, and a
+        # setting that is NaN is never equal to what is wanted.
+        self._unchecked = frozenset(
+            () if check_plausibility else self._messages.keys() - {Time.TYPE, SettingMessage.TYPE})
         self._messages = dict(self._messages)
         self._messages.update((message.TYPE, message) for message in messages)
         self.received = 0     # bytes
@@ -355,8 +358,7 @@ class _Decoder:
     def _bad(self, raw: bytes, cause: str, error: str, stamp: Any, type_: int = 0,
              data: bytes = b'') -> Frame:
         self.errors[cause] += cause != UNKNOWN or self.counts_unknown
-        if type_ != SettingMessage.TYPE:
-            self._timed = 0      # the packet may have been one of those that TIME counts
+        self._timed = 0      # the packet may have been one of those that TIME counts
         return invalid_frame(raw, cause, error, stamp, type_, data)
 
     # -- for `wire explain` -----------------------------------------------------------------

@@ -33,6 +33,7 @@ class AnnouncementReader:
     def opened(self) -> None:
         """The port was opened; `restart` follows."""
         self._call: Optional[Call] = None
+        self._is_old = False     # `_call` was asked before `restart`
         self._unanswered = 0     # questions in a row
         self._rounds_left = 0
 
@@ -40,6 +41,7 @@ class AnnouncementReader:
         """The board may be another one: ask for the whole text."""
         self._index = 0
         self._rounds_left = _ROUNDS
+        self._is_old = self._call is not None
         self._ask_at = now + _PAUSES[self._unanswered]
 
     def step(self, now: float) -> Optional[bytes]:
@@ -54,13 +56,15 @@ class AnnouncementReader:
         outcome = self._call.outcome
         if outcome is None:
             return None
-        self._call = None
+        is_old, self._call, self._is_old = self._is_old, None, False
         if outcome.status == NOT_SENT:
             return None     # the same chunk is asked for again
         if outcome.status == TIMEOUT or outcome.error_code == wire.NOT_SYNCHRONISED:
             self._ask_again(now)
             return None
         self._unanswered = 0
+        if is_old:
+            return None     # it may be another board's
         if not outcome.success:
             return self._end(b'')
         return self._take(Chunk.unpack(outcome.data))
@@ -83,7 +87,7 @@ class AnnouncementReader:
         if self._assembly.complete:
             self._rounds_left = 0
             return text
-        self._index = chunk.index + 1
+        self._index += 1      # not the chunk's: a board may ignore the index
         if self._index >= chunk.count:
             self._index = 0
             self._rounds_left -= 1

@@ -87,6 +87,11 @@ class Call:
         else:
             self.finish(self.last_try)
 
+    def doubt(self) -> None:
+        """The INVALID may have been for noise: it is neither refused nor confirmed."""
+        assert self.last_try is not None
+        self.try_ended(CallState.WAITING, unknown_after_invalid(self.last_try))
+
     def finish(self, outcome: Outcome) -> None:
         """Set the outcome and wake the caller; only the first outcome counts."""
         with self._lock:
@@ -96,9 +101,10 @@ class Call:
 
     def give_up(self, why: str) -> None:
         """Finish it without sending it, or without sending it again; rule 7."""
+        if self.state is CallState.CONFIRMING:
+            self.doubt()
         if self.last_try is not None:
-            self.finish(unknown_after_invalid(self.last_try)
-                        if self.state is CallState.CONFIRMING else self.last_try)
+            self.finish(self.last_try)
         elif self.request == wire.SYNC_REQUEST and self.state is CallState.WAITING:
             self.finish(Outcome(NOT_SENT, why))     # but the Master itself may have sent SYNC
         else:
@@ -190,17 +196,16 @@ class CallQueue:
         for call in self._waiting:
             call.at_once = call.function.interrupts
 
-    def doubt_invalid(self, reply: Optional[wire.Reply] = None) -> bool:
+    def doubt_invalid(self, reply: Optional[wire.Reply] = None) -> None:
         """A reply, or what may have been one, was received: the INVALID before it may have been for
-        noise. Return whether a call waited for the ECHO that confirms it; rule 4."""
+        noise, so a call that waited for the ECHO that confirms it is not refused; rule 4."""
         for call in self:
-            if call.state is CallState.CONFIRMING and not (
-                    call.function.repeatable and call.tries) and (
+            if call.state is CallState.CONFIRMING and (
                     reply is None or reply.cmd1 not in (wire.ERROR, wire.INVALID)
                     and may_answer(reply, call.request)):
-                self.abandon(call, '')
-                return True
-        return False
+                call.doubt()
+                if not (call.function.repeatable and call.tries):
+                    self.abandon(call, '')
 
 
 def unknown_after_invalid(invalid: Outcome) -> Outcome:

@@ -114,10 +114,11 @@ class BusLink(Link):
         # Checked after the time of the call was taken, so that a stall in between makes it expire.
         if not function.repeatable and self.connection.may_be_from_a_stall():
             return Outcome(NOT_SENT, f'{STALLED}; nothing was sent')
+        longest = (max(self.settings.motion_timeout, NOT_READY_WAIT)
+                   + call.tries * (call.timeout + NOT_READY_WAIT))     # before a try is counted
         self.master.submit(call)
         self.wake()
-        return call.wait(max(self.settings.motion_timeout, NOT_READY_WAIT)
-                         + call.tries * (call.timeout + NOT_READY_WAIT))
+        return call.wait(longest)
 
     def _call(self, request: wire.Request, function: wire.Function,
               on_success: Optional[Callable[[Outcome], None]] = None, poll: bool = False) -> Call:

@@ -98,8 +98,7 @@ class Master(Session):
         self._last_reply = now
         if reply.cmd1 == wire.ECHO:      # late or not, the board knows ECHO
             self._has_echoed = True
-        if self.calls.doubt_invalid(reply):
-            return
+        self.calls.doubt_invalid(reply)
         if isinstance(exchange, CallExchange):
             self._call_answered(exchange, frame, now)
         else:
@@ -114,9 +113,11 @@ class Master(Session):
         is_reply = frame.cause == CHECKSUM
         self._happened(Event.DAMAGED if is_reply else Event.NOISE, now,
                        'received bytes that are no valid reply')
-        if is_reply and isinstance(exchange, CallExchange):
-            self.calls.try_failed(exchange.call, Outcome(
-                TIMEOUT, f'the reply was damaged: {UNKNOWN}'), now)
+        if isinstance(exchange, CallExchange):
+            if is_reply:
+                self.calls.try_failed(exchange.call, Outcome(
+                    TIMEOUT, f'the reply was damaged: {UNKNOWN}'), now)
+            exchange.reply_may_be_lost = True      # noise may have been the reply
 
     def may_have_missed(self, why: str, now: float) -> None:
         """Replies may have been received and dropped."""
@@ -136,10 +137,10 @@ class Master(Session):
     def not_sent(self, why: str) -> None:
         """The request that `step` returned could not be sent."""
         exchange, self._exchange = self._exchange, NOTHING
-        if exchange is NOTHING:
-            self.calls.stop_again()
-        elif isinstance(exchange, CallExchange):
+        if isinstance(exchange, CallExchange):
             exchange.call.give_up(why)
+        else:
+            self.calls.stop_again()     # what waited in the port is dropped, perhaps a stop, too
 
     # -- what to do ---------------------------------------------------------------------
 
@@ -219,10 +220,12 @@ class Master(Session):
         """A reply was received while the request of a call is outstanding."""
         call, reply = exchange.call, frame.message
         # Without a fence, an OK with data that is not expected may be for another request; rule 5.
-        is_foreign = self._never_echoes and reply.cmd1 == wire.OK and reply.data \
+        is_unfenced = exchange.kind is Kind.CALL and not exchange.fenced
+        is_foreign = (self._never_echoes or is_unfenced) and reply.cmd1 == wire.OK and reply.data \
             and call.function.reply.is_empty
         if is_foreign or not may_answer(reply, call.request):     # the right one may follow
             exchange.other_reply = reply
+            exchange.reply_may_be_lost |= reply.cmd1 == wire.OK
             self._happened(Event.OTHER, now, f'{reply} to {call.request}')
             return
         cause, error = call.function.data_error(reply)
@@ -237,7 +240,7 @@ class Master(Session):
         if reply.cmd1 != wire.INVALID:
             self.calls.finish(call, outcome, now)
         elif exchange.kind is Kind.CALL and exchange.reply_may_be_lost:
-            self.calls.finish(call, unknown_after_invalid(outcome), now)
+            self.calls.try_failed(call, unknown_after_invalid(outcome), now)
         else:
             self.calls.refused(call, outcome, now)
 
@@ -251,6 +254,7 @@ class Master(Session):
         outcome = Outcome(wire.OK, text, 0, frame.message.data, now - exchange.sent, False,
                           frame.stamp)
         if not exchange.fenced and not call.function.repeatable:
+            exchange.reply_may_be_lost = True
             self._happened(Event.OTHER, now)    # the board never echoes
             return
         self._happened(Event.WRONG_DATA, now)

@@ -205,6 +205,8 @@ class Decoder(StreamDecoder):
             return Bad(size, CHECKSUM, 'CRC does not match')
         data = buffer[at + 4:end - 2]
         seq, kind = buffer[at + 3], self._messages.get(type_)
+        ticks = self._ticks if seq == self._timed_seq else None
+        self._ticks, self._timed_seq = None, -1
         if kind is None:
             return Good(size, type_, seq, data, None)
         try:
@@ -216,8 +218,8 @@ class Decoder(StreamDecoder):
         reason = message.implausible()
         if reason:
             return Good(size, type_, seq, data, None, IMPLAUSIBLE, f'{kind.LABEL}: {reason}')
-        ticks = self._ticks if seq == self._timed_seq else None
         if kind.TICKS_AT is not None:
             ticks = message[kind.TICKS_AT]
-        self._ticks, self._timed_seq = (ticks, (seq + 1) % 256) if kind is Time else (None, -1)
+            if kind is Time:
+                self._ticks, self._timed_seq = ticks, (seq + 1) % 256
         return Good(size, type_, seq, data, message, ticks=ticks)

@@ -55,7 +55,8 @@ def main(arguments: Optional[List[str]] = None) -> int:
         device = _device(options.node, options.link)
     except (OSError, ValueError, rosgraph.MasterException) as error:
         return _say(str(error), _NOT_LENT)
-    name = f'{os.path.basename(options.command[0])} (pid {os.getpid()})'
+    # The bridge keeps 60 characters of it, and the pid must be among them.
+    name = f'{os.path.basename(options.command[0])[:40]} (pid {os.getpid()})'
     loan = _Loan(f'{options.node}/{options.link}/release', name)
     command = _Command([word.replace('{port}', device) for word in options.command])
     try:
@@ -158,7 +159,8 @@ class _Command:
         self._words = words
         self._process: Optional[subprocess.Popen] = None
         for number in signal.SIGINT, signal.SIGTERM, signal.SIGHUP:
-            signal.signal(number, self._pass_on)
+            if signal.getsignal(number) != signal.SIG_IGN:      # nohup, or a background job
+                signal.signal(number, self._pass_on)
 
     def run(self) -> int:
         """Run it; return the exit status."""

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import threading
 import time
+from unittest import mock
 
 import pytest
 
@@ -26,6 +27,7 @@ from serial_communication.boards.arduino.wire import (Heartbeat, ImuCalibration,
 from serial_communication.framing.layout import Value, message_class
 
 STEADY = ArduinoSettings(speed_timeout=0.0)       # no speed times out
+STOP = arduino.encode(SpeedCommand(0))
 
 
 def more_heartbeats(of, number):
@@ -224,6 +226,22 @@ class RecordingPort(Port):
         self.written.append(frame)
 
 
+@pytest.fixture
+def threadless(line, logger):
+    """A link whose port is open. None of its threads runs: the test does their work."""
+    link = ArduinoLink(RecordingPort(line.path), STEADY, logger=logger)
+    link.port.open()
+    yield link
+    link.port.close()
+
+
+def read_what_was_sent(line, link, before=b''):
+    """The bytes at the other end, `before` included, when all that the port took are there."""
+    data = bytearray(before)
+    until(lambda: len(data) >= link.port.bytes_sent, doing=lambda: data.extend(line.read(0.05)))
+    return bytes(data)
+
+
 # -- the speed timeout ----------------------------------------------------------------------------
 
 def test_speed_0_is_sent_if_no_speed_command_follows(board, open_link, lines):
@@ -336,6 +354,20 @@ def test_no_heartbeat_is_sent_before_a_pending_speed_0(line, open_link):
     assert link.port.written[0].endswith(arduino.encode(SpeedCommand(0)))
 
 
+@pytest.mark.parametrize('method, busy', [
+    ('backlog', {'return_value': 0.06}), ('write', {'side_effect': PortBusy('it is full')})],
+    ids=['backlog', 'write'])
+def test_a_speed_0_that_a_busy_port_refuses_is_the_next_packet(threadless, method, busy):
+    """The port takes data again before the heartbeat thread can see that it was busy."""
+    link = threadless
+    link.set_speed(300)
+    with mock.patch.object(link.port, method, **busy):
+        assert refusal(link.set_speed, 0).cause == 'busy'
+    link.port.written.clear()
+    link.output.send_what_is_due(True)
+    assert link.port.written[0] == STOP
+
+
 # -- stalls ---------------------------------------------------------------------------------
 
 @pytest.fixture
@@ -367,29 +399,51 @@ def test_after_a_stall_speed_0_is_sent_first_whichever_thread_runs(
     until(lambda: lines(' s: SPEED 0 is sent first'))
 
 
+CLAW = message_class('claw', 50, '<?', [Value('data')])
+FIRE = message_class('fire', 51, '<')
+# Messages are tuples: the first two are equal to SPEED 0, the third one to a heartbeat.
+ALIKE = SteeringCommand(0), CLAW(False), FIRE()
+
+
 @pytest.mark.stalls
+@pytest.mark.parametrize('command', [SpeedCommand(300), *ALIKE, ImuCalibration()], ids=str)
 def test_a_command_whose_thread_stalls_just_before_it_is_written_is_not_sent(
-        board, open_link, stall, monkeypatch):
+        board, open_link, stall, monkeypatch, command):
     link = open_link(STEADY, port=RecordingPort)
 
     def backlog(whole=link.port.backlog):     # the last that is asked before a command is written
         if threading.current_thread() is threading.main_thread():
             stall.skipped[0] += 15.0
+            link.port.written.clear()
         return whole()
 
     monkeypatch.setattr(link.port, 'backlog', backlog)
 
     def reaches_the_write():
         before = stall.skipped[0]
-        refused = refusal(link.set_speed, 300)
+        refused = refusal(link.command, command)
         assert 'it may have waited while the bridge stalled' in str(refused)
         return stall.skipped[0] > before
 
     until(reaches_the_write)
-    link.port.written.clear()
     until(lambda: len(link.port.written) > 3)
-    assert link.port.written[0] == arduino.encode(SpeedCommand(0))
-    assert SpeedCommand(300) not in board.messages()
+    assert link.port.written[0] == STOP
+    assert arduino.encode(command) not in link.port.written and not link.calibrating
+
+
+def test_after_a_stall_just_before_a_heartbeat_speed_0_is_sent_first(
+        threadless, stall, monkeypatch):
+    link = threadless
+    link.set_speed(300)
+
+    def backlog():      # asked after the look at the clock, before the heartbeat is written
+        stall.skipped[0] += 2e9
+        return 0.0
+
+    monkeypatch.setattr(link.port, 'backlog', backlog)
+    link.port.written.clear()
+    link.output.send_what_is_due(True)
+    assert link.port.written == [STOP, arduino.encode(Heartbeat())]
 
 
 @pytest.mark.stalls
@@ -487,13 +541,25 @@ def test_after_a_reconnect_speed_0_is_first_and_repeated(board, open_link, speed
     assert set(board.messages(SpeedCommand)) == {SpeedCommand(0)}
 
 
-def test_a_command_just_after_the_opening_follows_speed_0(line, logger):
+@pytest.mark.parametrize('command', [SpeedCommand(500), *ALIKE], ids=str)
+def test_a_command_just_after_the_opening_follows_speed_0(threadless, line, command):
     """The port is open, and no thread of the link has used it yet."""
-    link = ArduinoLink(Port(line.path), STEADY, logger=logger)
+    threadless.command(command)
+    assert read_what_was_sent(line, threadless) == STOP + arduino.encode(command)
+
+
+def test_a_packet_that_closing_has_cut_does_not_spoil_the_first_speed_0(threadless, line):
+    link = threadless
+    link.set_speed(300)
+    send = link.port._opened.send
+    with mock.patch.object(link.port._opened, 'send', lambda data: send(data[:3])):
+        link.set_steering(1234)
+    cut = read_what_was_sent(line, link)
+    link.connection._close()
     link.port.open()
-    link.set_speed(500)
-    assert line.read_all() == arduino.encode(SpeedCommand(0)) + arduino.encode(SpeedCommand(500))
-    link.port.close()
+    link.output.send_what_is_due(True)
+    assert messages(read_what_was_sent(line, link, cut)) == [
+        SpeedCommand(0), SpeedCommand(300), SpeedCommand(0), Heartbeat()]
 
 
 def test_a_heartbeat_gap_is_a_warning_until_a_report_without_a_gap(board, open_link):
@@ -828,3 +894,29 @@ def test_stopping_does_not_wait_for_a_board_that_does_not_read(line, open_link):
     link.stop()
     link.join()
     assert not link.port.is_open
+
+
+@pytest.mark.parametrize('end', [lambda output: output.end(), lambda output: output.let_go('lent')],
+                         ids=['end', 'let go'])
+def test_the_last_packet_to_a_port_that_takes_nothing_is_speed_0(threadless, line, end):
+    """What waits in it is dropped. The heartbeat thread does not run just then."""
+    link = threadless
+    link.set_speed(300)
+    until(lambda: refusal(link.set_led, 'x' * 30), every=0.0)
+    written = len(link.port.written)
+    end(link.output)
+    assert link.port.written[written:] == [b'\0' + STOP]
+    received = bytearray()
+    until(lambda: received.endswith(STOP), doing=lambda: received.extend(line.read(0.05)))
+    assert len(received) > 1000, 'it was full'
+
+
+def test_the_last_speed_0_is_not_dropped_with_what_a_silent_board_has_not_read(threadless, line):
+    """More than the 4095 bytes that Linux keeps for the other side of a pseudo terminal."""
+    link = threadless
+    link.set_speed(300)
+    while link.port.bytes_sent < 10000:
+        link.set_led('x' * 30)
+    link.output.end()
+    link.output.hold(True)      # the link's thread finds the silence just then
+    assert read_what_was_sent(line, link).endswith(STOP)

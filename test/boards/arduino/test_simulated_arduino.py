@@ -58,6 +58,13 @@ def test_lose_stops_loses_the_first_speed_0_of_each_stop():
         (zero.hex(), 'lose-stops')] * 2
 
 
+def test_lose_stops_loses_no_other_command_whose_value_is_0():
+    bench = make(lose_stops=True)
+    drive(bench, 0.5, speed=300, steering=0)
+    assert bench.board.motor_on and bench.board.steering < 1500
+    assert not bench.notes.of('rx-lost')
+
+
 def test_sends_a_log_message_when_it_is_ready():
     assert make().messages(arduino.Log) == [arduino.Log(1, 'IMU ready')]
 

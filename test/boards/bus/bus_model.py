@@ -25,7 +25,8 @@ FAULTS = ('none', 'lose request', 'lose reply', ('late', REPLY_TIMEOUT + 0.2),
           ('late', MOTION_TIMEOUT + 0.9), ('double', 0.0), ('double', 0.005), ('double', 0.1),
           ('double', MOTION_TIMEOUT), 'damage reply', 'damage request', 'damage request, silent',
           'noise', 'noise before', 'cut', 'error', 'too long', 'reset',
-          'invalid for noise', 'unsynchronised for noise', 'invalid for noise, damage reply')
+          'invalid for noise', 'unsynchronised for noise', 'invalid for noise, damage reply',
+          'damage flag, invalid behind')
 UNREPEATABLE = ('lift', 'gimbal', 'raw', 'act', 'own')  # never sent again after a timeout
 REPEATABLE = ('read', 'test', 'stop')                 # functions that may be sent again
 REQUESTS = UNREPEATABLE + REPEATABLE + ('air', 'echo', 'sync')
@@ -90,6 +91,9 @@ class Board:
         wire = bus.encode_reply(reply)
         if 'damage reply' in fault:
             wire = wire[:-1] + bytes((wire[-1] ^ 4,))
+        elif fault == 'damage flag, invalid behind':
+            wire = bytes((wire[0] ^ 1,)) + wire[1:] \
+                + bus.encode_reply(bus.Reply(bus.INVALID, b'\x40'))
         elif fault == 'noise':
             wire = b'\x11\x22' + wire
         elif fault == 'noise before':

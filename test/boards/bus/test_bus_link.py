@@ -9,6 +9,7 @@ from lines import Pty
 from waiting import Waiter
 from serial_communication.link import link as link_module
 from serial_communication.link.connection import Connection, PortState
+from serial_communication.boards.bus.call import NOT_READY_WAIT, Call
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.bus.polls import Poller
 from serial_communication.link.link import ERROR, OK, RX, TX, WARN
@@ -186,6 +187,17 @@ def test_stopping_ends_waiting_calls(board, open_link):
     assert moving.result().status == TIMEOUT
     assert not link.port.is_open
     assert link.lift(0, 1).status == NOT_SENT
+
+
+def test_a_caller_waits_for_all_tries_though_the_first_has_begun(board, open_link, monkeypatch):
+    link = open_link(SHORT._replace(retries=0))
+    wake, waits = link.wake, []
+    monkeypatch.setattr(link, 'wake', lambda: wake() or until(board.moves))
+    monkeypatch.setattr(Call, 'wait', lambda call, seconds: waits.append(seconds))
+    link.lift(0, 100)
+    until(lambda: not link.master.calls.next())
+    turn, one_try = NOT_READY_WAIT, SHORT.motion_timeout + NOT_READY_WAIT
+    assert waits == [turn + one_try]
 
 
 def test_a_board_that_is_silent_is_reported(line, logger, running, lines, monkeypatch):

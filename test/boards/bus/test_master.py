@@ -816,6 +816,53 @@ def test_of_two_stops_both_have_an_outcome(session):
     assert all(stop.outcome.success for stop in stops)
 
 
+@pytest.mark.parametrize('name', MOVES)
+@pytest.mark.parametrize('code', ['40', '10', '20'])
+def test_after_noise_an_invalid_makes_the_outcome_unknown(session, name, code):
+    """The noise may have been the OK, and the INVALID a reply to noise on the way to the board."""
+    session.play(f'call {name}; send {name}; noise; < INVALID:{code}; {name} is not known;'
+                 + ('> SYNC; < SYNC;' if code == '10' else '') + 'fence; > -')
+    assert session.outcome(name).error_code == int(code, 16)
+
+
+def test_a_reading_is_asked_for_again_after_noise_and_an_invalid(session):
+    session.play('call air; send air; noise; < INVALID:40; air is waiting; fence; > air; < AIR;'
+                 'air is done')
+
+
+def test_without_echo_an_invalid_after_an_ok_with_data_makes_the_outcome_unknown(without_echo):
+    without_echo.play('call lift; +0.03; > lift; < OK:00; < INVALID:40; lift is not known;'
+                      + SYNC_AND_SILENCE + 'call air; > air; < AIR; call two; +0.03; > two;'
+                      '< OK; < INVALID:40; two is not known')
+
+
+def test_a_repeatable_call_is_not_told_as_refused_after_an_ok(session, monkeypatch):
+    monkeypatch.setitem(FUNCTIONS, 'own', FUNCTIONS['own']._replace(repeatable=True))
+    session.announces = True
+    session.play('call own; send own; < INVALID:10; > SYNC; < OK SYNC; fence; > -;'
+                 'own is not known; call twice; send twice; < INVALID:40; > ECHO; < OK ECHO;'
+                 '> twice; refused; twice is not known')
+
+
+def test_a_reply_behind_the_confirming_echo_needs_another_echo(session):
+    session.play(f'{LIFTS} < INVALID:40; > ECHO; < ECHO OK; lift is not known; call gimbal; fence;'
+                 '> gimbal')
+
+
+def test_an_ok_after_an_invalid_begins_the_silence_anew(without_echo):
+    without_echo.play('call lift; +0.03; > lift; < INVALID:40; > SYNC; < SYNC; > -; +0.47; < OK;'
+                      'lift is not known; call gimbal; +0.47; > -; +0.04; > gimbal')
+
+
+def test_a_call_without_a_fence_takes_no_ok_with_data_though_an_echo_follows(without_echo):
+    without_echo.play('call air; > air; < AIR; call lift; +0.021; > lift; < ECHO:late; < AIR;'
+                      'lift is waiting; < OK; lift is done')
+
+
+def test_a_stop_is_sent_again_if_the_port_did_not_take_the_echo_behind_it(session):
+    session.play(f'{LIFTS} call stop; > stop; > ECHO; refused; > stop; > ECHO')
+
+
 # -- rules 9 and 10: what waited, or may still wait -----------------------------------------------
 
 def test_after_a_stall_only_what_is_repeatable_is_sent(session):
