@@ -45,6 +45,7 @@ class BoardClock:
         self._least_delay = inf
         self._points = 0
         self._is_known = False
+        self._is_older = False                     # the latest time was older, and came late
         self._ticks = 0                            # of the newest point
         self._newest: _Point = (0.0, -inf)         # board times are from the first point on
         self._returned = -inf                      # the latest time returned
@@ -70,9 +71,13 @@ class BoardClock:
         elapsed = arrival - arrival_before
         step = ((ticks - self._ticks + _HALF) % (2 * _HALF) - _HALF) / 1e6
         late, jump = elapsed - step, MOST_JUMP + MOST_DRIFT * elapsed
-        if elapsed > WINDOW or late < -jump or late > (jump if step >= 0.0 else MOST_OLDER):
+        is_older, was_older = step < 0.0 and late > MOST_OLDER, self._is_older
+        if elapsed > WINDOW or abs(late) > jump or is_older and (was_older or step < -MOST_OLDER):
             self.reset()       # all points are old, or the clock jumped or stood
-            board_before = step = 0.0
+            board_before, step, is_older = 0.0, 0.0, False
+        self._is_older = is_older
+        if is_older:           # the line held it back, or the board began anew: the next one tells
+            return None
         board = board_before + step
         if not self._is_known:
             if step >= 0.0:

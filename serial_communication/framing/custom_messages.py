@@ -76,6 +76,12 @@ def meaning(row: Any) -> Tuple:
 
 
 def _comparable(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _comparable(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_comparable(each) for each in value]
+    if isinstance(value, float) and isnan(value):
+        return 'NaN'     # which is not equal to itself
     layout = value if isinstance(value, Layout) else getattr(value, 'LAYOUT', None)
     return value if layout is None else (getattr(value, 'TYPE', None), layout.layout,
                                          layout.values)

@@ -124,7 +124,7 @@ class Connection:
 
     def _idle(self, now: float) -> float:
         awake_at = pace.clock()
-        self.stalls.stalled_for(awake_at)
+        self._stalled_for += self.stalls.stalled_for(awake_at)     # the port may just be opened
         self.stalls.awake_at = awake_at
         due = self.guarded(self._link.idle, now)
         self._link.lending.step()

@@ -178,7 +178,8 @@ class Link:
     def report(self, now: float) -> Report:
         """To be called once a second: the errors since the last call are those of that second."""
         errors = self.error_count()
-        new_errors, self._reported_errors = errors - self._reported_errors, errors
+        # Fewer for a moment, while those of old bytes are taken back.
+        new_errors, self._reported_errors = max(errors - self._reported_errors, 0), errors
         level, summary = self.condition(now)
         if level == OK and new_errors:
             level, summary = WARN, self.unknown_bytes.printed(now) or (

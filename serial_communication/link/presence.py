@@ -30,6 +30,7 @@ class PresenceLog:
         if talks is None or state == self._logged \
                 or now < self._logged_at.get(line, now - _PERIOD) + _PERIOD:
             return
+        self._logged_at = {each: at for each, at in self._logged_at.items() if now < at + _PERIOD}
         self._logged_at[line] = now
         if not talks:
             if self._logged in ('', 'talks'):

@@ -71,7 +71,7 @@ class CommandTopic:
                 if self._connections is None:
                     return      # while subscribing: the connection's thread handles it later
                 self._refuse_if_old(message, self._connections)
-            self._send(message)
+                self._send(message)     # before `close` returns
         except Refused as refused:
             self._log.warn(f'{self._name} refused: {refused.cause}', str(refused))
         except ValueError as error:

@@ -8,7 +8,7 @@ import os
 import re
 import struct
 import sys
-from math import isfinite, isqrt
+from math import isfinite, isinf, isqrt
 from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple,
                     Union)
 
@@ -24,6 +24,7 @@ _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int
 _MOST_ELEMENTS = 1000     # of an array whose elements are named singly, such as position[2]
 _QUATERNION = 'geometry_msgs/Quaternion'
 _ANGLES = 'roll', 'pitch', 'yaw'     # further fields of a quaternion, in radians
+_ANGLE = 'angle'     # in place of a code: any number but infinity
 _STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
 
 
@@ -131,7 +132,8 @@ class RosFields:
 
     def narrowed(self, layout: Layout) -> Layout:
         """Return the layout; there, a value that its field cannot hold is implausible."""
-        codes = ['' if not place or _holds_all(place.code, value) else place.code
+        codes = [_ANGLE if place and place.is_angle
+                 else '' if not place or _holds_all(place.code, value) else place.code
                  for value, place in zip(layout.values, self._places)]
         return _NarrowedLayout(layout, codes) if any(codes) else layout
 
@@ -317,7 +319,10 @@ def _holds_all(code: str, value: Value) -> bool:
 
 
 def _holds(code: str, number: float) -> bool:
-    """Return whether a field with struct's `code` can hold a number, rounded for integers."""
+    """Return whether a field with struct's `code`, or an angle, can hold a number, rounded for
+    integers."""
+    if code == _ANGLE:
+        return not isinf(number)
     try:
         struct.pack('<' + code, number if code in FRACTIONS else round(number))
     except (struct.error, OverflowError, ValueError):

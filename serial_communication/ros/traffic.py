@@ -12,7 +12,7 @@ from ..framing.stream import Frame
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from .diagnostics import log_fault
-from .publishing import publisher
+from .publishing import publisher, wanted
 
 _QUEUED = 2000   # frames that may wait for the thread; newer ones are dropped
 
@@ -25,24 +25,29 @@ class Traffic(rospy.SubscribeListener):
 
     def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
         super().__init__()
+        self._lock = threading.Lock()
         self._log = SparingLog('serial_msg', logger)
         self._links = {link.name: link for link in links}
         # put() never blocks.
         self._queue: 'queue.SimpleQueue[Tuple[str, int, Frame, int]]' = queue.SimpleQueue()
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
         self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
+        self._update()     # rospy adds the listener after others may have subscribed
 
     def peer_subscribe(self, topic_name: str, topic_publish: Callable,
                        peer_publish: Callable) -> None:
         """Pass on the frames of all links; called by rospy."""
-        for link in self._links.values():
-            link.tap = self._enqueue
+        self._update(True)
 
     def peer_unsubscribe(self, topic_name: str, num_peers: int) -> None:
         """Stop that if there is no subscriber left; called by rospy."""
-        if not num_peers:
+        self._update()
+
+    def _update(self, is_wanted: bool = False) -> None:
+        with self._lock:     # num_peers is counted before others may have subscribed
+            tap = self._enqueue if is_wanted or wanted(self._topic) else None
             for link in self._links.values():
-                link.tap = None
+                link.tap = tap
 
     def _enqueue(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:

@@ -199,6 +199,15 @@ def test_an_older_time_is_never_returned_later_than_the_newest(slower):
     assert compared > 2500
 
 
+def test_an_older_time_that_the_line_holds_back_costs_the_later_times_nothing():
+    clock, board = BoardClock(), Board()
+    for _ in range(300):
+        true, ticks = board.measure()
+        clock.measured_at(ticks, true + 1e-4)
+    assert clock.measured_at(ticks - 30_000, true + 0.08) is None
+    assert len(errors_of(clock, board, take(100, usual()))) == 100
+
+
 @pytest.mark.parametrize('bit', range(32))
 def test_a_time_with_a_wrong_bit_makes_no_other_time_wrong(bit):
     """The packets of the car have no checksum. It is as if the clock had jumped there and back."""

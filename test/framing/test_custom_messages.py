@@ -12,7 +12,7 @@ from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
 from serial_communication.boards.arduino import custom_messages as arduino_messages
 from serial_communication.boards.bus.functions import read_functions as bus_functions
 from serial_communication.boards.mcu import custom_messages as mcu_messages
-from serial_communication.framing.custom_messages import RowError
+from serial_communication.framing.custom_messages import RowError, meaning
 
 FORCE = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data'],
          'scale': 0.01, 'minimum': 0, 'maximum': 300}
@@ -87,6 +87,12 @@ def test_an_empty_field_leaves_a_value_out():
     got, _ = received(kind, b'\7\1\0')
     assert str(got) == 'name data=1'
     assert kind(99, 5).pack() == b'\0\5\0'
+
+
+def test_rows_with_the_same_constants_mean_the_same_though_one_is_no_number():
+    rows = [one(dict(FORCE, constants={'current': float('nan'), 'cells': [float('nan'), 1.0],
+                                       'voltage': voltage})) for voltage in (5.0, 5.0, 6.0)]
+    assert meaning(rows[0]) == meaning(rows[1]) != meaning(rows[2])
 
 
 # -- what is refused ------------------------------------------------------------------------------

@@ -133,3 +133,9 @@ def test_a_port_lost_at_another_time_is_logged_in_order_and_sparingly(line, open
     line.plug()
     until(lambda: link.connection.reconnects == 2)
     assert len(lines()) == before       # the same loss within 10 s is not logged again
+
+
+def test_reasons_for_a_silence_that_differ_each_time_are_not_kept(presence):
+    for number in range(1000):
+        presence.update(False, f'only frames of type {number} are received', float(number))
+    assert len(presence._logged_at) <= 11

@@ -317,6 +317,29 @@ def test_a_stall_counts_although_the_port_was_closed_or_is_lost_at_its_end(line,
     assert connection.may_be_from_a_stall()
 
 
+def test_a_stall_while_the_port_is_just_being_opened_counts(line, logger, running, clock):
+    is_open, goes_on = threading.Event(), threading.Event()
+
+    class Opening(Port):
+        def open(self):
+            super().open()
+            is_open.set()
+            goes_on.wait(PATIENCE)
+    got = []
+    link = running(McuLink(Opening(line.path), timeout=60.0, logger=logger,
+                           on_status=lambda message, seq, stamp: got.append(seq)))
+    assert is_open.wait(PATIENCE)
+    line.write(status(1))
+    clock._stopped_at = clock() + 3.0
+    clock.wait_for(link)
+    goes_on.set()
+    until(lambda: link.connection.stale == len(status(1)))
+    clock.end(link)
+    line.write(status(2))
+    until(lambda: got)
+    assert got == [2]
+
+
 def test_a_move_is_not_sent_if_the_bridge_stalls_just_before_its_request_is_written(
         bus_link, clock, monkeypatch):
     def encode(request, *arguments, whole=bus.encode_request):

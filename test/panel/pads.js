@@ -12,8 +12,8 @@ const run = (Drive, steps) => {
   pad.getBoundingClientRect = () => ({left: 0, top: 0, width: 2, height: 2});
   const act = {
     wait: (ms) => pass(Number(ms)),
-    pointer: (what) => {
-      const event = new PointerEvent(`pointer${what}`, {button: 0, clientX: 1, clientY: 0});
+    pointer: (what, pointerId = 1, clientX = 1) => {
+      const event = new PointerEvent(`pointer${what}`, {button: 0, pointerId, clientX, clientY: 0});
       pad.dispatchEvent(Object.defineProperty(event, 'timeStamp', {value: now}));
     },
     key: (what, key) => {

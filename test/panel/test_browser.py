@@ -668,6 +668,36 @@ def test_the_outcome_is_not_known_if_the_connection_is_lost(control_page, robot,
     control_page.errors()      # the console reports the lost connection, as it should
 
 
+def test_the_outcome_is_not_known_if_the_connection_is_lost_in_a_hidden_tab(control_page, robot,
+                                                                            network):
+    up = '[data-service="~lift"] button'
+
+    def hide(hidden):
+        control_page.script("""
+            Object.defineProperty(document, 'hidden', {configurable: true, value: arguments[0]});
+            document.dispatchEvent(new Event('visibilitychange'));""", hidden)
+
+    def lost():
+        wait_until_settled(control_page)
+        with network.delayed():
+            control_page.click(up)
+            sent = 'sending' in control_page.text('.answers li') or not control_page.all(
+                up + ':enabled')
+            hide(True)
+            with network.cut():
+                control_page.wait_for_text('#connection', 'no connection')
+        hide(False)
+        control_page.wait_for_text('#connection', 'live')
+        control_page.wait(lambda page: page.all(up + ':enabled'), 'it is over')
+        # Or the machine stalled, and the page knew before the click that the connection is lost.
+        return sent and 'the connection was lost before the answer was received' in ''.join(
+            control_page.texts('.answers li')[:1])
+    again_if_stalled(lost)
+    assert not robot.lift_requests
+    control_page.script('delete document.hidden')
+    control_page.errors()      # the console reports the lost connection, as it should
+
+
 def test_a_custom_command_is_a_form_with_its_limits(control_page, robot):
     form = '[data-service="~gripper"] '
     assert [each.replace('\n', ' ') for each in control_page.texts(form + 'label')] == [
@@ -805,6 +835,70 @@ def test_what_was_entered_stays_when_another_form_appears(control_page, robot):
     finally:
         rospy.delete_param(NODE + '/bus/announced')
     control_page.wait(lambda page: not page.all('[data-service="~horn"]'), 'it vanishes')
+
+
+def test_a_click_where_another_form_has_vanished_or_appeared_moves_nothing(control_page, robot):
+    """The forms after it have moved under the pointer."""
+    horn, tip = ({'cmd2': number, 'srv_type': 'std_srvs/Trigger'} for number in (0x35, 0x36))
+
+    def announce(**rows):
+        rospy.set_param(NODE + '/bus/announced', rows)
+
+    def form(name):
+        return f'[data-service="~{name}"] button'
+
+    def is_clicked_in_vain(gone):
+        """Click the form at the moment at which another one is gone, or there."""
+        control_page.script("""
+            const [form, other, gone] = arguments;
+            const button = document.querySelector(form);
+            window.reason = null;
+            const observer = new MutationObserver(() => {
+              if (Boolean(document.querySelector(other)) === gone) return;
+              observer.disconnect();
+              window.reason = button.closest('fieldset').querySelector('.reason').textContent;
+              button.click();
+            });
+            observer.observe(document.querySelector('.commands'), {childList: true});""",
+                            form('tip_over'), form('horn'), gone)
+        announce(tip_over=tip, **({} if gone else {'horn': horn}))
+        control_page.wait(lambda page: page.script('return window.reason') is not None,
+                          'the forms change')
+        assert control_page.script('return window.reason') == 'the page has just appeared'
+    try:
+        announce(horn=horn, tip_over=tip)
+        control_page.wait(lambda page: page.all(form('horn') + ':enabled')
+                          and page.all(form('tip_over') + ':enabled'), 'both can be pressed')
+        is_clicked_in_vain(gone=True)
+        control_page.wait(lambda page: page.all(form('tip_over') + ':enabled'), 'a second passes')
+        is_clicked_in_vain(gone=False)
+    finally:
+        rospy.delete_param(NODE + '/bus/announced')
+    control_page.wait(lambda page: not page.all(form('tip_over')), 'it vanishes')
+    assert not {0x35, 0x36} & {frame.message.cmd2 for frame in list(robot.bus.frames)}
+
+
+def test_stop_is_sent_also_while_no_update_is_received(control_page, robot, control_panel):
+    topic = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1)
+
+    def drive():
+        topic.publish(value=300)
+    try:
+        until(lambda: 300 in robot.car.speeds, 'another program drives', doing=drive, every=0.05)
+        with suspended(control_panel.process.pid):
+            control_page.wait(lambda page: page.text('#connection') == 'no connection',
+                              'no update is received', doing=drive)
+            control_page.click('#stop')
+            robot.car.forget()
+        # The bridge itself sends one after a stall; STOP is repeated for a second.
+        until(lambda: robot.car.speeds.count(0) > 3, 'SPEED 0 is sent', doing=drive, every=0.05)
+    finally:
+        topic.unregister()
+    assert not any('no connection to the panel' in each for each in control_page.texts(
+        '.answers li'))
+    until(lambda: has_stopped(robot), 'the car stops')
+    control_page.wait_for_text('#connection', 'live')
+    control_page.errors()       # the page may have given up the connection
 
 
 # -- the dead man's switch --------------------------------------------------------------------
@@ -1002,6 +1096,11 @@ def test_which_keys_drive_and_what_else_stops(page):
         f'{AHEAD}, wait 20000': DRIVING,
         f'{AHEAD}, {HELD}, key down ArrowRight, key repeat ArrowRight, key up ArrowRight, '
         'wait 20000': DRIVING})
+
+
+def test_the_pad_follows_only_the_pointer_that_has_pressed_it(page):
+    check_pads(page, {'pointer down 1, pointer move 1 2': RIGHT_AHEAD,
+                      'pointer down 1, pointer move 2 2': DRIVING})
 
 
 def test_the_pad_takes_no_second_press_of_a_double_click(page):

@@ -144,6 +144,29 @@ class WithoutMaster(unittest.TestCase):
         until(lambda: taken == [2], 'the second one')
 
 
+class ClosedTest(unittest.TestCase):
+    """A row is taken down while a command of it is being sent."""
+
+    def test_what_is_being_sent_is_sent_before_close_returns(self):
+        sending, goes_on, order = threading.Event(), threading.Event(), []
+
+        def send(message):
+            sending.set()
+            goes_on.wait(PATIENCE)
+            order.append('sent')
+        topic = commands.CommandTopic('/claw', UInt8, send, str, SparingLog('arduino', rospy), 0.0)
+        publisher = FakePublisher('/new', '/claw', UInt8)
+        self.addCleanup(publisher.close)
+        publisher.say(UInt8(1))
+        self.assertTrue(sending.wait(PATIENCE))
+        closing = threading.Thread(target=lambda: topic.close() or order.append('closed'))
+        closing.start()
+        closing.join(0.2)       # without the fix it is over by now
+        goes_on.set()
+        closing.join(PATIENCE)
+        self.assertEqual(order, ['sent', 'closed'])
+
+
 if __name__ == '__main__':
     rospy.init_node('commands_test')
     rostest.rosrun(PACKAGE, 'commands', '__main__')

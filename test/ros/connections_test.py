@@ -6,6 +6,7 @@ import resource
 import select
 import socket
 import struct
+import threading
 import time
 import unittest
 from unittest import mock
@@ -16,14 +17,15 @@ import rosgraph
 import rospy
 import rostest
 from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_header
-from roscpp.srv import GetLoggers
+from roscpp.srv import GetLoggers, GetLoggersResponse
 from rospy.impl import registration, tcpros_base
 
-from boards import PACKAGE, PATIENCE, BoardsTest, CarBoard, command_topic, service, until
+from boards import (PACKAGE, PATIENCE, BoardsTest, CarBoard, Waiter, command_topic, service,
+                    until)
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.msg import SpeedPWMCommand, Voltage
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.ros.rospy_mends import handshake, shortage
+from serial_communication.ros.rospy_mends import connections, handshake, shortage
 
 NAME = '/' + PACKAGE
 MASTER = rosgraph.Master('/connections_test')
@@ -242,6 +244,51 @@ class Handshakes(unittest.TestCase):
         with mock.patch.object(server, 'inbound_handler', side_effect=MemoryError('no more')):
             self.assertIsNone(shake(self.connect(), service='/any'))
         self.call()
+
+    def test_after_a_shortage_of_memory_in_the_loop_itself_others_are_still_served(self):
+        for part in (handshake._PendingConnection, 'read'), (handshake._Acceptor, '_accept'):
+            with self.subTest(part[1]):
+                served = []
+                server = tcpros_base.TCPServer(lambda *given, into=served: into.append(given), 0)
+                self.addCleanup(server.shutdown)
+                self.address = server.get_full_addr()
+                with mock.patch.object(*part, side_effect=MemoryError('no more')) as fails:
+                    Waiter(server.run)
+                    self.connect()
+                    until(lambda: fails.called, 'it fails')
+                self.connect(encode_ros_handshake_header({'callerid': '/connections_test'}))
+                until(lambda: served, 'another connection is served', 10)
+                served[0][0].close()
+
+
+class ConnectedService(unittest.TestCase):
+    """How long the connection to a service is waited for, and its answer."""
+
+    def test_a_service_that_accepts_and_answers_nothing_is_given_up(self):
+        with socket.socket() as hangs:
+            hangs.bind(('127.0.0.1', 0))
+            hangs.listen(1)
+            uri = 'rosrpc://127.0.0.1:%d' % hangs.getsockname()[1]
+            with mock.patch.object(rosgraph.Master, 'lookupService', return_value=uri):
+                attempt = Waiter(connections.connected_service, '/any', GetLoggers, 0.5)
+                with self.assertRaises(rospy.TransportInitError):
+                    attempt.result()
+        self.assertGreater(attempt.took, 0.4)
+
+    def test_a_service_may_take_longer_to_answer_than_to_connect(self):
+        patience, answers = 1.0, threading.Event()
+
+        def slow(_request):
+            answers.wait(PATIENCE)
+            return GetLoggersResponse()
+        name = rospy.resolve_name('~slow')
+        offered = rospy.Service(name, GetLoggers, slow)
+        self.addCleanup(offered.shutdown)
+        proxy = connections.connected_service(name, GetLoggers, patience)
+        began, call = time.monotonic(), Waiter(proxy)
+        until(lambda: time.monotonic() - began > 1.5 * patience, 'more time passes')
+        answers.set()
+        self.assertEqual(call.result(), GetLoggersResponse())
 
 
 class PatientThread(unittest.TestCase):

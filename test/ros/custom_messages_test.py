@@ -185,6 +185,19 @@ class FromTheCar(unittest.TestCase):
         for part in turn.x, turn.y, turn.z, turn.w:
             self.assertAlmostEqual(part, 0.5, 3)
 
+    def test_an_infinite_angle_is_implausible_and_costs_no_connection(self):
+        poses = Topic(OWN + 'heading', PoseStamped)
+        self.addCleanup(poses.close)
+        before = DIAGNOSTICS.wait_for('arduino', lambda s: True, 'a status').keys
+        for angle in math.inf, -math.inf:
+            CAR.write(packet(215, struct.pack('<f', angle)))
+        poses.first(doing=lambda: CAR.write(packet(215, struct.pack('<f', 0.0))))
+        self.assertEqual(poses.messages[0].pose.orientation.w, 1.0)
+        keys = DIAGNOSTICS.wait_for(
+            'arduino', lambda s: int(s.keys['implausible errors'])
+            >= int(before['implausible errors']) + 2, 'they are counted').keys
+        self.assertEqual(keys['reconnects'], before['reconnects'])
+
     def test_invalid_packets_are_counted_and_shown_but_not_published(self):
         topics = [Topic(OWN + 'force', Float32), Topic(OWN + 'odd', CameraInfo),
                   Topic(OWN + 'line_sensors', UInt16MultiArray)]

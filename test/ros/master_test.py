@@ -224,6 +224,7 @@ class ReplacedTest(MasterTest):
         for key, value in (('bus/retries', 7), ('bus/port', self.lines['bus'].near),
                            ('arduino/announced/force/type', 32)):
             self.assertEqual(self.server.getParam(f'{name}/{key}'), value)
+        self.bridge.wait_for('is a new ROS master')
         self.assertEqual(self.bridge.output().count('is a new ROS master'), 1)
 
         master.end()

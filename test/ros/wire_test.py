@@ -6,16 +6,21 @@ import json
 import os
 import random
 import shutil
+import socket
 import subprocess
 import unittest
+from types import SimpleNamespace
+from unittest import mock
 
 import rosbag
 import rospy
 import rostest
+from rospy.topics import _PublisherImpl
 from sensor_msgs.msg import Imu, Range, Temperature
 
 from boards import PACKAGE, PATIENCE, RX, Bridge, Diagnostics, Line, Topic, own_folder, program
 from serial_communication.msg import (McuStatus2, SerialMsg, SteeringFeedback, Ticks, Voltage)
+from serial_communication.ros import traffic
 from serial_communication.tools.wire.recording import RecordingError, load
 
 SECONDS = 6.0
@@ -238,6 +243,49 @@ class WireTest(unittest.TestCase):
             self.assertEqual(done.returncode, 1)
             self.assertIn(words, done.stderr)
             self.assertEqual(len(done.stderr.splitlines()), 1)
+
+
+class TrafficTest(unittest.TestCase):
+    """Whether the frames are passed on, in orders of rospy's calls that are rare."""
+
+    def setUp(self):
+        self.link = SimpleNamespace(name='bus', tap=None)
+        self.impl = _PublisherImpl('/serial_msg', SerialMsg)
+
+    def connect(self, name):
+        near = socket.socket()
+        self.addCleanup(near.close)
+        self.impl.add_connection(SimpleNamespace(
+            endpoint_id=name, id=name, done=False, socket=near, fileno=near.fileno,
+            cleanup_cb=None, close=near.close, set_cleanup_callback=lambda function: None))
+
+    def make(self, _name, _type, subscriber_listener):
+        """As rospy: others may subscribe before it has added the listener."""
+        if self.is_early:
+            self.connect('early')
+        self.impl.add_subscriber_listener(subscriber_listener)
+        return SimpleNamespace(impl=self.impl, get_num_connections=self.impl.get_num_connections)
+
+    def traffic(self, is_early):
+        self.is_early = is_early
+        with mock.patch.object(traffic, 'publisher', self.make):
+            return traffic.Traffic([self.link], rospy)
+
+    def test_who_subscribes_before_the_listener_is_there_gets_the_frames(self):
+        self.traffic(is_early=True)
+        self.assertIsNotNone(self.link.tap)
+
+    def test_who_subscribes_as_the_last_one_leaves_gets_the_frames(self):
+        listener = self.traffic(is_early=False)
+        self.assertIsNone(self.link.tap)
+        self.connect('first')
+        leave = listener.peer_unsubscribe
+        listener.peer_unsubscribe = lambda *left: self.connect('second') or leave(*left)
+        self.impl.remove_connection(self.impl.connections[0])
+        self.assertIsNotNone(self.link.tap)
+        listener.peer_unsubscribe = leave
+        self.impl.remove_connection(self.impl.connections[0])
+        self.assertIsNone(self.link.tap)
 
 
 if __name__ == '__main__':

@@ -161,7 +161,7 @@ class ArduinoLink(Link):
             if self.output.calibration and isinstance(message, wire.Imu):
                 self._end_calibration(self.output.calibration.imu_data(clock()))
             if self._on_message and not self.announcement.holds_back(message):
-                self._on_message(message, frame.stamp)
+                self.connection.guarded(self._on_message, message, frame.stamp)
 
     def tick(self, now: float) -> Optional[float]:
         self.idle(now)

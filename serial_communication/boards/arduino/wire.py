@@ -321,7 +321,9 @@ class _Decoder:
         return frames
 
     def _oversize(self, packet: bytes, frames: List[Frame], stamp: Any) -> None:
-        frames.append(self._bad(packet, OVERSIZE, f'a packet of over {MAX_PACKET} bytes', stamp))
+        # So many bytes of it, however they were received.
+        frames.append(self._bad(packet[:_MAX_ENCODED + 1], OVERSIZE,
+                                f'a packet of over {MAX_PACKET} bytes', stamp))
 
     def _packet(self, encoded: bytes, stamp: Any, behind: int) -> Frame:
         raw = encoded + b'\0'

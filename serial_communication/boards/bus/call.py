@@ -44,6 +44,7 @@ class Call:
         self.state = CallState.WAITING
         self.at_once = False           # it is to be sent now, whatever is outstanding: see rule 8
         self.last_try: Optional[Outcome] = None     # outcome of the try before this one
+        self.may_be_done = False       # an earlier try may have been executed: it is not refused
         self.expires = float('inf')    # when it is given up if it still waits
         self.outcome: Optional[Outcome] = None
         self._lock = threading.Lock()
@@ -66,7 +67,7 @@ class Call:
     def claim_at_once(self) -> bool:
         """The same, but it stays in the queue, and the try does not count."""
         with self._lock:
-            self.at_once = False
+            self.at_once, self.may_be_done = False, True
             if self.outcome is None:
                 self.last_try = Outcome(TIMEOUT, f'no reply is known to be the one to this: '
                                         f'{UNKNOWN}')
@@ -78,6 +79,7 @@ class Call:
         with self._lock:
             if self.outcome is None:
                 self.state, self.last_try = state, outcome
+                self.may_be_done |= outcome.status != wire.INVALID
 
     def confirm(self) -> None:
         """The ECHO has returned: it is refused, or waits to be sent again."""
@@ -96,6 +98,8 @@ class Call:
         """Set the outcome and wake the caller; only the first outcome counts."""
         with self._lock:
             if self.outcome is None:
+                if outcome.status == wire.INVALID and self.may_be_done:
+                    outcome = unknown_after_invalid(outcome)
                 self.state, self.outcome = CallState.DONE, outcome
         self._done.set()
 

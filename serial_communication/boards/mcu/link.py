@@ -5,7 +5,7 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tu
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
 from ...framing.settings import SettingMessage
-from ...framing.stream import CHECKSUM, Frame
+from ...framing.stream import CHECKSUM, IMPLAUSIBLE, LENGTH, Frame
 from ...link.link import OK, WARN, Link, Refused
 from ...transport.port import Port, PortBusy
 from . import wire
@@ -64,13 +64,9 @@ class McuLink(Link):
         self._last = None
 
     def received(self, frame: Frame, now: float) -> None:
-        message, last = frame.message, self._last
-        if last is not None and last.raw != frame.raw:
-            self.frames_lost += (frame.number - last.number - 1) % 256
-        elif last is not None and now < self._last_at + _DOUBLED:
-            self.duplicates += 1
+        message = frame.message
+        if self._is_doubled(frame, now):
             return
-        self._last, self._last_at = frame, now
         if isinstance(message, Chunk):
             self.announcement.add(message)
         elif isinstance(message, SettingMessage):
@@ -83,12 +79,25 @@ class McuLink(Link):
             self._latest[frame.type] = _Latest(type(message), frame.number, now,
                                                now + self._timeout)
             if self._on_status and not self.announcement.holds_back(message):
-                self._on_status(message, frame.number, frame.stamp)
+                self.connection.guarded(self._on_status, message, frame.number, frame.stamp)
 
     def damaged(self, frame: Frame, now: float) -> None:
         # A status reports the errors before its own frame. The decoder has already counted all
         # errors of the read, also those of later frames.
         self.checksum_errors += frame.cause == CHECKSUM
+        if frame.cause in (LENGTH, IMPLAUSIBLE):     # its CRC matches, so its SEQ counts
+            self._is_doubled(frame, now)
+
+    def _is_doubled(self, frame: Frame, now: float) -> bool:
+        """Whether the line has doubled this frame; count that, or the frames lost before it."""
+        last = self._last
+        if last is not None and last.raw == frame.raw and now < self._last_at + _DOUBLED:
+            self.duplicates += 1
+            return True
+        if last is not None and last.raw != frame.raw:
+            self.frames_lost += (frame.number - last.number - 1) % 256
+        self._last, self._last_at = frame, now
+        return False
 
     def tick(self, now: float) -> float:
         due = self.idle(now)

@@ -1,4 +1,6 @@
 """Connections of topics and services: which one a message came on, and whom a topic reaches."""
+import socket
+import struct
 from typing import Any, Dict
 
 import rosgraph
@@ -16,7 +18,9 @@ _TOPICS = Guard('rospy.topics:_TopicImpl.add_connection rospy.topics:_TopicImpl.
 _SERVICES = Guard('rospy.impl.tcpros_service:ServiceProxy.__init__ '
                   'rospy.impl.tcpros_service:ServiceProxy.call '
                   'rospy.impl.tcpros_base:TCPROSTransport.__init__ '
-                  'rospy.impl.tcpros_base:TCPROSTransport.connect', {'e711404151b98217'},
+                  'rospy.impl.tcpros_base:TCPROSTransport.connect '
+                  'rospy.impl.tcpros_base:TCPROSTransport.read_header '
+                  'rosgraph.network:read_ros_handshake_header', {'89a41e07a4751c60'},
                   'calls services', 'a call from the page may wait for the master, and is then '
                   'sent late')
 
@@ -59,6 +63,31 @@ def reaches(publisher: rospy.Publisher, node: str) -> bool:
     return publisher.impl.has_connection(node)
 
 
+class _PatientTransport(TCPROSTransport):
+    """A connection to a service whose handshake takes a limited time, too.
+
+    rospy limits only the time to connect, which the service's kernel does for a process that hangs.
+    """
+
+    def __init__(self, protocol: Any, name: str, patience: float) -> None:
+        super().__init__(protocol, name)
+        self._patience = patience
+
+    def read_header(self) -> None:
+        """Read the service's header; OSError if it does not come in time."""
+        sock = self.socket
+        _limit_reading(sock, self._patience)
+        super().read_header()
+        _limit_reading(sock, 0.0)
+
+
+def _limit_reading(sock: socket.socket, seconds: float) -> None:
+    """Limit the time that a read waits; 0: not at all. rospy would undo `settimeout`."""
+    whole = int(seconds)
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO,
+                    struct.pack('ll', whole, int((seconds - whole) * 1e6)))
+
+
 def connected_service(name: str, service_class: Any, patience: float) -> rospy.ServiceProxy:
     """Return a proxy that is connected, so that its request is sent at once.
 
@@ -66,7 +95,7 @@ def connected_service(name: str, service_class: Any, patience: float) -> rospy.S
     as soon as they answer, and the robot would move when nobody expects it any more.
 
     Args:
-        patience: s for the service's answer.
+        patience: s for the service to be connected, and again for its header.
 
     Raises:
         rosgraph.MasterError: the service does not exist.
@@ -76,7 +105,7 @@ def connected_service(name: str, service_class: Any, patience: float) -> rospy.S
     uri = rosgraph.Master(rospy.get_name()).lookupService(name)
     proxy = rospy.ServiceProxy(name, service_class)
     if _SERVICES.passes():
-        proxy.transport = TCPROSTransport(proxy.protocol, proxy.resolved_name)
+        proxy.transport = _PatientTransport(proxy.protocol, proxy.resolved_name, patience)
         try:
             proxy.transport.connect(*rospy.parse_rosrpc_uri(uri), uri, timeout=patience)
         except rospy.TransportInitError:

@@ -84,6 +84,11 @@ class DirectConnection(rospy.topics.QueuedConnection):
         except BlockingIOError:
             return 0
 
+    def has(self, fd: int) -> bool:
+        """Return whether its socket is open and has this descriptor."""
+        sock = self._connection.socket
+        return sock is not None and sock.fileno() == fd
+
     def send_on(self) -> None:
         """Send the next waiting bytes; the thread calls this when the socket is writable.
 
@@ -110,24 +115,38 @@ class _Sender:
     def __init__(self) -> None:
         self._poll = select.epoll()
         self._slow: Dict[int, DirectConnection] = {}    # by the descriptors of their sockets
+        # A connection may be closed at any time, and another one get its descriptor.
+        self._lock = threading.Lock()
 
     def start(self) -> None:
         """Start the thread."""
         threading.Thread(target=self._run, name='slow subscribers', daemon=True).start()
 
     def take(self, fd: int, connection: DirectConnection) -> None:
-        """Call the connection's `send_on` whenever its socket is writable."""
-        self._slow[fd] = connection
-        self._poll.register(fd, select.EPOLLOUT)
+        """Call the connection's `send_on` whenever its socket is writable.
+
+        Raises:
+            OSError: it was closed meanwhile.
+        """
+        with self._lock:
+            self._poll.register(fd, select.EPOLLOUT)
+            if not connection.has(fd):
+                self._unregister(fd)
+                raise OSError('the connection was closed')
+            self._slow[fd] = connection     # if it is closed from now on, `leave` follows
 
     def leave(self, fd: int, connection: DirectConnection) -> None:
         """Stop calling it, if it is called at all."""
-        if self._slow.get(fd) is connection:    # another connection may have the number by now
-            del self._slow[fd]
-            try:
-                self._poll.unregister(fd)
-            except (OSError, ValueError):
-                pass    # it is closed, so the kernel has removed it
+        with self._lock:
+            if self._slow.get(fd) is connection:    # or another one has the number by now
+                del self._slow[fd]
+                self._unregister(fd)
+
+    def _unregister(self, fd: int) -> None:
+        try:
+            self._poll.unregister(fd)
+        except (OSError, ValueError):
+            pass    # it is closed, so the kernel has removed it
 
     def _run(self) -> None:
         while True:

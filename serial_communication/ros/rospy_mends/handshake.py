@@ -90,12 +90,18 @@ class _Acceptor:
         listener.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ)
         while not self._server.is_shutdown:
-            for key, _ in self._selector.select(self._until_next_deadline()):
-                if key.fileobj is listener:
-                    self._accept(listener)
-                elif key.data in self._pending:
-                    self._read(key.data)
-            self._drop_expired()
+            try:
+                self._serve(listener)
+            except Exception:  # pylint: disable=broad-except
+                time.sleep(PAUSE)       # probably out of memory for the moment
+
+    def _serve(self, listener: socket.socket) -> None:
+        for key, _ in self._selector.select(self._until_next_deadline()):
+            if key.fileobj is listener:
+                self._accept(listener)
+            elif key.data in self._pending:
+                self._read(key.data)
+        self._drop_expired()
 
     def _until_next_deadline(self) -> Optional[float]:
         for pending in self._pending:

@@ -183,8 +183,12 @@ class Commands:
         self._ended[page, name] = None
         self._under_way += 1
         entry = self._add_answer(key, name, arguments, now)
-        threading.Thread(target=self._run, args=(page, service, request, entry),
-                         daemon=True, name=f'call {name}').start()
+        try:
+            threading.Thread(target=self._run, args=(page, service, request, entry),
+                             daemon=True, name=f'call {name}').start()
+        except RuntimeError as error:       # no memory for a thread
+            self._answered(page, service, entry,
+                           Answer(Verdict.REFUSED, f'nothing was sent: {error}'))
 
     def forget(self, page: Any) -> None:
         """The page is closed: stop its driving. Its calls continue."""
@@ -310,19 +314,19 @@ class Commands:
             CommandRefused: nothing is sent.
         """
         now = time.monotonic()
-        publisher = self._publisher('~speed')
+        speeds, steerings = self._publisher('~speed'), self._publisher('~steering')
         try:
             self._switch.command(page, hold, seen, now)
         except CommandRefused as refused:
             self._drive_words = str(refused)
             raise
         self._drive_words = ''
+        self._call_later(SILENCE, self._check)      # before anything that may fail
         stamp = rospy.Time.now()
-        self._publish_speed(publisher, max(-SPEED_LIMIT, min(SPEED_LIMIT, speed)), stamp)
+        self._publish_speed(speeds, max(-SPEED_LIMIT, min(SPEED_LIMIT, speed)), stamp)
         command = SteeringPWMCommand(value=max(STEERING[0], min(STEERING[1], steering)))
         command.header.stamp = stamp
-        self._publisher('~steering').publish(command)
-        self._call_later(SILENCE, self._check)
+        steerings.publish(command)
 
     def release(self, page: Any, hold: int) -> None:
         """The page's pad is no longer held: stop the car."""

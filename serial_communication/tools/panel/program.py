@@ -173,7 +173,10 @@ def _serve(options: argparse.Namespace) -> int:
         address = page_address(options.bind, sockets[0].getsockname()[1], entrance.token)
         code = qr_code(address) if sys.stdout.isatty() and not is_loopback(options.bind) else ''
         print(f'panel: {words}{address}' + f'\n{code}'.rstrip(), flush=True)
-    entrance.on_used = lambda: print_address('for another browser: ')
+    # In a thread: a terminal that reads nothing (Ctrl-S) would block every page, STOP included.
+    printer = LatestWorker('printer', 0.0, lambda _error: None)     # the terminal may be closed
+    printer.start()
+    entrance.on_used = lambda: printer.submit(print_address, 'for another browser: ')
     server = serve(sockets, hub, Guard(options.bind, host_names()), entrance)
     statuses: List[int] = []
     last_resort = LastResort(_EXIT_TIME)

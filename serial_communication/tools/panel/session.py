@@ -219,7 +219,7 @@ class Session(GuardedHandler, WebSocketHandler):
         except CommandRefused as refused:
             self._hub.log.warn(name, f'{name} of a page at {self.request.remote_ip} refused: '
                                      f'{refused}')
-            self._write(encode({'now': time.monotonic(),
+            self._write(encode({'now': round(time.monotonic(), 4),
                                 'refused': {'key': key, 'words': str(refused)}}))
 
 

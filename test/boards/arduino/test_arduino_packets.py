@@ -140,6 +140,12 @@ def test_a_packet_holds_at_most_256_bytes():
             frames, errors = decode(ARDUINO, ticks + wire_of(1, filler * size) + ticks)
             assert [frame.message for frame in frames] == [arduino.Ticks(3)] * 2
             assert errors == dict(no_errors(ARDUINO), **{OVERSIZE: 1})
+            shown = []
+            for step in 1, 10_000:      # bytes in each read
+                wire, decoder = ticks + wire_of(1, filler * size) + ticks, arduino.Decoder()
+                shown.append([(frame.raw, frame.error) for at in range(0, len(wire), step)
+                              for frame in decoder.feed(wire[at:at + step])])
+            assert shown[0] == shown[1]
     assert arduino.encode_raw(1, b'x' * 255) == wire_of(1, b'x' * 255)
     with pytest.raises(ValueError):
         arduino.encode_raw(1, b'x' * 256)

@@ -844,6 +844,19 @@ def test_a_repeatable_call_is_not_told_as_refused_after_an_ok(session, monkeypat
                  '> twice; refused; twice is not known')
 
 
+@pytest.mark.parametrize('script', [
+    'call twice; send twice; < INVALID:40; > ECHO; < OK; < ECHO; send twice; < INVALID:40; fence;'
+    'send twice; < INVALID:40; fence; > -; twice is not known',
+    'call twice; send twice; damaged; > ECHO; < ECHO; send twice; < INVALID:20; fence; > -;'
+    'twice is not known',
+    'call twice; send twice; +T; > ECHO; < ECHO; send twice; < INVALID:20; fence; > -;'
+    'twice is not known',
+    'call stop; > stop; > ECHO; < OK ECHO; send stop; < INVALID:20; fence; > -; stop is not known'],
+    ids=('an OK', 'a damaged reply', 'no reply', 'at once'))
+def test_what_may_have_been_executed_before_is_not_told_as_refused(session, script):
+    session.play(script)
+
+
 def test_a_reply_behind_the_confirming_echo_needs_another_echo(session):
     session.play(f'{LIFTS} < INVALID:40; > ECHO; < ECHO OK; lift is not known; call gimbal; fence;'
                  '> gimbal')

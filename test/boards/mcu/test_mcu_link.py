@@ -5,6 +5,7 @@ from contextlib import nullcontext
 import pytest
 
 from fake_boards import until
+from serial_communication.framing.layout import Value, message_class
 from serial_communication.link.link import ERROR, OK
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.transport.port import Port, PortError
@@ -92,6 +93,30 @@ def test_the_seq_of_an_unknown_type_counts_but_its_frame_is_not_passed_on(line, 
     until(lambda: len(watched.got) == 2)
     assert watched.seqs() == [1, 3] and watched.link.frames_lost == 0
     assert watched.link.decoder.errors['unknown type'] == 1
+
+
+def test_the_seq_of_a_frame_that_is_refused_counts(line, watch):
+    load = message_class('Load', 0x40, '<B', [Value('load', maximum=9)])
+    watched = watch(messages=[load])
+    line.write(status(1) + mcu.encode_raw(0x40, 2, b'\x0a') + status(3)
+               + mcu.encode_raw(0x40, 4, b'too long') + status(5) + status(7))
+    until(lambda: len(watched.got) == 4)
+    assert watched.seqs() == [1, 3, 5, 7] and watched.link.frames_lost == 1
+    errors = watched.link.decoder.errors
+    assert errors['implausible'] == errors['length'] == 1
+
+
+def test_a_fault_of_a_receiver_is_logged_and_costs_no_connection(line, watch, lines):
+    watched = watch()
+    on_status, faults = watched.link._on_status, iter([True])
+
+    def receive(*arguments):
+        on_status(*arguments)
+        next(faults, False) and 1 / 0
+    watched.link._on_status = receive
+    line.write(status(1) + status(2))
+    until(lambda: watched.seqs() == [1, 2])
+    assert watched.link.connection.reconnects == 0 and len(lines('ZeroDivisionError')) == 1
 
 
 class Timed(Watched):

@@ -1,6 +1,7 @@
 /**
  * Whether the page has just appeared. Another site may open it under the pointer, between the two
- * clicks of a double click: for a second, a press is not meant for this page.
+ * clicks of a double click: for a second, a press is not meant for this page. A form that appears or
+ * vanishes moves others under the pointer, too.
  */
 const SETTLING = 1000;      // ms
 let since = performance.now();

@@ -101,11 +101,11 @@ export class Connection extends EventTarget {
   _closed(reason) {
     this._socket = null;
     this._receivedAt = -Infinity;
+    this.dispatchEvent(new Event('lost'));
     if (this._hiddenAt !== null) return;
     this.words = reason || this._refusal || 'the connection was lost';
     this._nextTry = seconds() + this._retry;
     this._retry = Math.min(this._retry * 1.6, RETRY[1]);
-    this.dispatchEvent(new Event('lost'));
     this._findReason();
   }
 

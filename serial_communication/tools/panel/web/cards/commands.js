@@ -3,7 +3,7 @@
  * answered, and while it cannot be carried out, with the reason beside it. If the connection is lost
  * during a call, its outcome is shown as not known.
  */
-import {APPEARED, hasJustAppeared} from '../appeared.js';
+import {APPEARED, appear, hasJustAppeared} from '../appeared.js';
 import {card, formatAge, h, updateAttribute, updateText} from '../dom.js';
 import {whyNoCall, whyNot} from '../reasons.js';
 import {Answers, describe} from './answers.js';
@@ -126,7 +126,8 @@ export class Commands {
   _send(name, message, words) {
     const key = `${Date.now()}.${presses++}`, at = this._connection.now();
     const [[kind, values]] = Object.entries(message);
-    if (this._connection.alive && this._connection.send({[kind]: {key, ...values}})) {
+    // STOP may help also where no update is received: the panel may take it nevertheless, or later.
+    if ((kind === 'stop' || this._connection.alive) && this._connection.send({[kind]: {key, ...values}})) {
       this._pending.set(key, {name, words, at});
     } else {
       this._addAnswer(words, 'refused', 'nothing was sent: no connection to the panel');
@@ -167,6 +168,7 @@ export class Commands {
       const element = make();
       this._forms.set(key, {shape: JSON.stringify(description), element});
       this._body.append(element);
+      appear();     // others may have moved under the pointer
     }
   }
 
@@ -176,6 +178,7 @@ export class Commands {
     this._reasons = this._reasons.filter(({place}) => !element.contains(place));
     this._settings = this._settings.filter(([,, place]) => !element.contains(place));
     element.remove();
+    appear();
   }
 
   /** A group of controls, whose legend has the reason why they cannot be used. */

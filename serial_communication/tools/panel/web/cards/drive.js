@@ -36,6 +36,7 @@ export class Drive {
     this._hold = 0;             // number of presses
     this._timer = null;         // while held
     this._pressedAt = -Infinity;    // the latest press of the pad, ms
+    this._pointer = null;       // id of the pointer that pressed it
     this._keys = new Set();     // codes of the keys that are held
     this._repeats = false;      // whether this system is known to repeat keys
     this._repeatDue = Infinity; // when the next repeat is due, ms of performance.now()
@@ -89,11 +90,14 @@ export class Drive {
         updateText(this._words, 'not driven: a double click; press once, and hold');
         return;
       }
+      this._pointer = event.pointerId;
       pad.setPointerCapture(event.pointerId);
       this._point(event);
       this._begin();
     });
-    pad.addEventListener('pointermove', (event) => { if (this.held && !this._keys.size) this._point(event); });
+    pad.addEventListener('pointermove', (event) => {
+      if (this.held && !this._keys.size && event.pointerId === this._pointer) this._point(event);
+    });
     for (const end of ['pointerup', 'pointercancel', 'lostpointercapture', 'contextmenu']) {
       pad.addEventListener(end, (event) => {
         if (end === 'contextmenu') event.preventDefault();

@@ -1,0 +1,83 @@
+"""What the commands of the pages do when something is missing, without a panel and without ROS."""
+import threading
+import time
+from unittest import mock
+
+import pytest
+import rospy
+from std_srvs.srv import Trigger
+
+from serial_communication.boards.arduino.wire import SPEED_LIMIT
+from serial_communication.tools.panel import commands as panel_commands
+from serial_communication.tools.panel.commands import Commands
+from serial_communication.tools.panel.dead_man import SILENCE, CommandRefused
+from serial_communication.tools.panel.forms import service
+from serial_communication.tools.watch.state import BridgeState
+
+NODE = '/serial_communication'
+PAGE = 'a page'
+
+
+class Panel:
+    """The commands with publishers of this test; `later` has what is to be called later."""
+
+    def __init__(self):
+        self.later = []
+        self.commands = Commands(NODE, mock.Mock(), lambda call, *given: call(*given),
+                                 lambda *given: self.later.append(given))
+        self.commands.start()
+        self.speed, self.steering = mock.Mock(), mock.Mock()
+        self.commands._publishers = {'~speed': self.speed, '~steering': self.steering}
+
+    def drive(self, reached):
+        """Take a command of a page while the bridge subscribes to these."""
+        with mock.patch.object(panel_commands, 'reaches', lambda each, _node: each in reached), \
+                mock.patch.object(rospy.Time, 'now', rospy.Time):
+            self.commands.drive(PAGE, 1, time.monotonic(), SPEED_LIMIT, 1500)
+
+    @property
+    def calls(self):
+        """The answers to calls, by the keys of the page."""
+        return {call['key']: call for call in self.commands.snapshot()['calls']}
+
+
+@pytest.fixture
+def panel():
+    return Panel()
+
+
+@pytest.mark.parametrize('missing', ['speed', 'steering'])
+def test_nothing_is_published_unless_the_bridge_takes_speed_and_steering(panel, missing):
+    reached = [panel.steering if missing == 'speed' else panel.speed]
+    with pytest.raises(CommandRefused, match=f'does not subscribe to ~{missing}'):
+        panel.drive(reached)
+    assert not panel.speed.publish.called and not panel.steering.publish.called
+    assert not panel.commands.stop_driving()
+
+
+@pytest.mark.parametrize('fails', ['speed', 'steering'])
+def test_silence_stops_the_car_even_if_the_first_command_could_not_be_published(panel, fails):
+    getattr(panel, fails).publish.side_effect = MemoryError
+    with pytest.raises(MemoryError):
+        panel.drive([panel.speed, panel.steering])
+    (after, check), = panel.later
+    assert after == SILENCE
+    panel.speed.publish.side_effect = None
+    with mock.patch.object(time, 'monotonic', return_value=time.monotonic() + SILENCE), \
+            mock.patch.object(rospy.Time, 'now', rospy.Time):
+        check()
+    assert panel.speed.publish.call_args[0][0].value == 0
+    assert not panel.commands.stop_driving()
+
+
+def test_a_call_for_which_no_thread_starts_is_refused_and_counts_no_more(panel):
+    with mock.patch.object(panel_commands, 'board_services',
+                           return_value={'~lift': service(Trigger, 'bus')}):
+        panel.commands.changes(BridgeState(NODE))
+    with mock.patch.object(threading.Thread, 'start',
+                           side_effect=RuntimeError("can't start new thread")):
+        for number in range(20):        # more than may be under way at once
+            panel.commands.call(f'page {number}', str(number), time.monotonic(), '~lift', {})
+    assert {(call['outcome'], call['words']) for call in panel.calls.values()} == {
+        ('refused', "nothing was sent: can't start new thread")}
+    assert len(panel.calls) == 20
