@@ -40,7 +40,7 @@ uint16_t phase;
 
 void stop() {
   TIMSK2 = 0;
-  steps_missed = steps_left;
+  steps_missed += steps_left;  // a stop that follows the end switch does not hide what that one cut off
   steps_left = 0;
 }
 

@@ -181,12 +181,12 @@ class Master:
     def write(self, data):
         self.port.write(data)
 
-    def reply(self, seconds=1):
-        def whole():
-            self._received += self.port.read(4096)
-            return self._size() is not None
+    def has_reply(self):
+        self._received += self.port.read(4096)
+        return self._size() is not None
 
-        self.board.wait_until(whole, seconds)
+    def reply(self, seconds=1):
+        self.board.wait_until(self.has_reply, seconds)
         size = self._size()
         frame, self._received = self._received[:size], self._received[size:]
         assert xor_of(frame) == 0, frame.hex()

@@ -163,6 +163,7 @@ static void receive() {
         Custom custom;
         if (packet.is(48, &custom)) add(uint32_t(custom.position) ^ bits_of(custom.speed));
       }
+      decoder.poll(now);
       slave.feed(byte, now);
       slave.poll(now);
     }

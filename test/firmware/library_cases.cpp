@@ -165,6 +165,28 @@ CASE(commands_reach_their_functions) {
   CHECK(packets.heartbeat_age() == 0xFFFFFFFF)
 }
 
+// A packet has its 50 ms of silence on the line, not between two calls of update().
+CASE(a_packet_that_arrived_while_loop_was_delayed_is_taken) {
+  packets.on<Force>(48, take_force);
+  received.assign("\x04\x30", 2);
+  packets.update();
+  now_ms += 80;
+  received.assign("\x02\x01\0", 3);
+  packets.update();
+  CHECK(taken == 0x0102)
+}
+
+CASE(a_packet_that_was_cut_short_takes_no_whole_one_with_it) {
+  packets.on<Force>(48, take_force);
+  received.assign("\x04\x30\x07", 3);
+  packets.update();
+  now_ms += 60;
+  packets.update();
+  received.assign("\x04\x30\x02\x01\0", 5);
+  packets.update();
+  CHECK(taken == 0x0102)
+}
+
 // So that loop() goes on, and the watchdog is served, whatever the line brings.
 CASE(update_takes_at_most_64_bytes_a_call) {
   static int commands = 0;

@@ -86,6 +86,12 @@ class TestBoard : public BusHandler {
   }
 
   BusResult poll() override { return moving ? BusResult::pending() : BusResult::ok(); }
+
+  bool received_while_pending(uint8_t cmd2) override {
+    if (cmd2 != kFunctionStop) return false;
+    moving = false;
+    return true;
+  }
 };
 
 static std::string run_bus(std::istringstream& tokens) {
@@ -119,7 +125,7 @@ static std::string run_parse(std::istringstream& tokens) {
   uint32_t now = 1000;
   while (tokens >> token) {
     if (token[0] == '+') {
-      now += uint32_t(std::stoi(token.substr(1)));
+      for (int i = std::stoi(token.substr(1)); i > 0; --i) decoder.poll(++now);
       continue;
     }
     for (uint8_t byte : from_hex(token)) {

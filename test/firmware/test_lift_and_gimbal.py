@@ -207,6 +207,58 @@ def test_stop_after_noise_is_received(bus, noise):
     assert bus.reply() == OK
 
 
+FALSE_START = b'\x5a\x2c\x01'    # of a frame with 300 bytes of DATE
+
+
+def answered_among_slow_bytes(bus, data):
+    """Sends `data` behind a false start, and a byte every 10 ms; returns the first reply, and how
+    many seconds it took."""
+    board, sent = bus.board, []
+
+    def first_reply():
+        if board.time >= start + 0.01 * len(sent):
+            sent.append(b'\x00')
+            bus.write(data if len(sent) == 3 else sent[-1])
+        return bus.has_reply()
+
+    start = board.time
+    bus.write(FALSE_START)
+    board.wait_until(first_reply, 6)
+    took = board.time - start
+    return bus.reply(), took
+
+
+def test_stop_behind_a_false_start_is_received_though_the_line_is_never_silent(bus):
+    start_lift(bus)
+    reply, took = answered_among_slow_bytes(bus, request(0x55, STOP))
+    assert reply == FAILED and took < 0.25
+    assert bus.reply() == OK
+    assert bus.board.get('lift_position') < 350
+
+
+def test_request_behind_a_false_start_is_answered_though_the_line_is_never_silent(bus):
+    reply, took = answered_among_slow_bytes(bus, request(1, 0, b'here'))
+    assert reply == b'\x01here' and took < 0.25
+
+
+def test_stop_right_after_the_end_switch_does_not_make_the_move_ok(bus):
+    """The board's program is delayed, so it sees both at once. Meanwhile each interrupt of the
+    steps lets it do one instruction: with these distances it is past asking for the result."""
+    board = bus.board
+    for distance in 0.7, 0.8, 0.9, 1.0, 1.1:    # mm to the end switch
+        begun = board.get('lift_position')
+        start_lift(bus)
+        board.wait_until(lambda: board.get('lift_position') > begun + 5, 2)
+        board.ask('stall 0.08')
+        board.set('lift_top', board.get('lift_position') + distance)
+        board.wait_until(lambda: board.get('lift_last_step') < board.time - 0.004, 1)
+        bus.write(request(0x55, STOP))
+        assert bus.reply(seconds=1) == FAILED
+        assert bus.reply() == OK
+        assert board.get('lift_position') < begun + 20
+        board.set('lift_top', 600)
+
+
 def test_request_that_waited_behind_noise_is_not_called_invalid(bus):
     """INVALID says that nothing is executed: a Master that reads it sends the request again."""
     board = bus.board

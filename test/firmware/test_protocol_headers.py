@@ -270,6 +270,39 @@ def test_bus_gives_up_a_frame_cut_short(driver):
     assert executed == ['20:0064']
 
 
+STOP, UNSUPPORTED = request(0x55, 0x2F).hex(), reply_of(3, b'\x00\x80').hex()
+
+
+@pytest.mark.parametrize('moving', [False, True])
+@pytest.mark.parametrize('noise', ['5a2c01', 'a5fe', '5a2c01a5fe'])
+def test_bus_gives_up_a_frame_whose_bytes_come_too_slowly(driver, noise, moving):
+    """Bytes without a silence do not hold back for long what is behind a false start."""
+    before = [SYNC] + [LIFT_UP_100] * moving + [noise]
+    slow = ['+10', '00'] * 30
+    replies, executed = bus(driver, *before, *slow[:4], STOP, *slow)
+    answer = OK + UNSUPPORTED if moving else UNSUPPORTED
+    assert 10 * (replies.index(answer) - len(before)) / 2 < 150
+    assert executed == ['20:0064'] * moving + ['2f:']
+
+
+@pytest.mark.parametrize('moving', [False, True])
+def test_bus_finds_a_stop_that_is_under_way_when_a_false_start_is_given_up(driver, moving):
+    before = [SYNC] + [LIFT_UP_100] * moving + ['5a2c01']
+    for count in range(12):
+        slow = ['+10', '00'] * count
+        replies, executed = bus(driver, *before, *slow, STOP[:4], '+20', STOP[4:],
+                                *['+10', '00'] * 9)
+        assert (OK + UNSUPPORTED if moving else UNSUPPORTED) in replies, count
+        assert executed == ['20:0064'] * moving + ['2f:']
+
+
+def test_bus_takes_a_long_frame_at_9600_baud_and_with_a_pause(driver):
+    frame = request(1, 0, bytes(300)).hex()
+    slow = [token for at in range(0, len(frame), 2) for token in (frame[at:at + 2], '+1')]
+    for tokens in slow, [*slow[:300], '+48', *slow[300:]]:
+        assert reply_of(1, bytes(300)).hex() in bus(driver, SYNC, *tokens)[0]
+
+
 def test_bus_answers_a_damaged_burst_once(driver):
     damaged = 'a50255200064b7' + 'a5000001a5' + '5a' + '000102'
     replies, executed = bus(driver, SYNC, damaged, '+100')

@@ -85,7 +85,11 @@ class PacketLink : public PacketSender<StreamSink> {
     if (heartbeat_age() > 60000) had_heartbeat_ = false;  // before the clock wraps
     for (uint8_t left = kMaxReadAtOnce;; --left) {
       if (report_) report_(*this, now);
-      if (left == 0 || port_.available() <= 0) break;
+      if (left == 0) break;
+      if (port_.available() <= 0) {
+        decoder_.poll(now);
+        break;
+      }
       if (decoder_.feed(read(), now)) dispatch(decoder_.packet());
     }
     if (send_regularly_) send_regularly_(*this, now);

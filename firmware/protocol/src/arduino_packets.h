@@ -245,9 +245,8 @@ class PacketDecoder {
     return true;
   }
 
-  // Returns true when this byte completed a valid packet, which packet() then holds.
+  // Has to be called for each byte. Returns true when it completed a valid packet, which packet() then holds.
   bool feed(uint8_t byte, uint32_t now_ms) {
-    poll(now_ms);
     last_byte_ms_ = now_ms;
     if (byte != 0) {
       if (size_ == sizeof buffer_) {
@@ -263,6 +262,7 @@ class PacketDecoder {
     return complete;
   }
 
+  // Has to be called often, but only while no byte waits: what a delayed program finds there followed without a pause.
   // Gives up a packet whose end has not come within the frame timeout of its last byte.
   void poll(uint32_t now_ms) {
     if (size_ > 0 && now_ms - last_byte_ms_ >= frame_timeout_ms_) {

@@ -18,7 +18,9 @@
 //   silent for a moment; a valid frame in the same burst of bytes takes its place. Otherwise the Master
 //   would take a lift for not executed that is executed a moment later, and send it again.
 //   For the same reason all bytes that have arrived have to be fed before poll() is called.
-// - An incomplete frame is given up without a reply after the frame timeout; then the Master's timeout passes.
+// - An incomplete frame is given up without a reply after the frame timeout without a byte; then the Master's timeout
+//   passes. It is also given up when its bytes come slower than one a millisecond, and are late by the frame timeout:
+//   otherwise noise behind a false start could hold back a stop for as long as the length in it says.
 //
 // BusSlave.h uses this; a sketch includes that one.
 
@@ -42,6 +44,9 @@ const uint8_t kRequestsAtOnce = 8;
 
 // An INVALID is sent when the line has been silent for this time.
 const uint8_t kInvalidSilenceMs = 5;
+
+// Of an incomplete frame: 9600 baud.
+const uint8_t kMostMsPerByte = 1;
 
 // CMD1 of requests
 const uint8_t kCmdSync = 0x00;
@@ -146,6 +151,7 @@ class RobotCtrlBusSlave {
       drop(pending_ ? whole_ : size_);
       whole_ = 0;
     }
+    if (size_ == whole_) next_frame_ = true;
     buffer_[size_++] = byte;
     if (pending_) {
       look_ahead();
@@ -157,20 +163,27 @@ class RobotCtrlBusSlave {
   // Has to be called often, after feed(): ends a pending function, and gives up incomplete frames.
   void poll(uint32_t now_ms) {
     const uint32_t silence = now_ms - last_byte_ms_;
+    const bool silent = silence >= frame_timeout_ms_;
     requests_left_ = kRequestsAtOnce;
     scan();
+    if (next_frame_) begun_ms_ = now_ms;
+    next_frame_ = false;
+    // After a silence nothing is left; of a late frame one byte goes, and what is behind that has its own time.
+    bool give_up = silent || now_ms - begun_ms_ >= frame_timeout_ms_ + (size_ - whole_) * kMostMsPerByte;
     if (pending_) {
-      while (whole_ < size_ && silence >= frame_timeout_ms_) {
+      for (; give_up && whole_ < size_; give_up = silent) {
         ++whole_;
+        next_frame_ = true;
         look_ahead();
       }
       const BusResult result = handler_.poll();
       if (result.outcome == BusResult::Pending) return;
       pending_ = false;
+      whole_ = 0;
       reply(result);
       scan();
     }
-    while (size_ > 0 && !pending_ && !busy() && silence >= frame_timeout_ms_) {
+    for (; give_up && size_ > 0 && !pending_ && !busy(); give_up = silent) {
       ++counters.timeouts;
       drop(1);
       scan();
@@ -203,10 +216,7 @@ class RobotCtrlBusSlave {
           --requests_left_;
           execute();
           drop(frame_size_);
-          if (pending_) {
-            whole_ = 0;
-            look_ahead();
-          }
+          if (pending_) look_ahead();
           break;
         case Check::ChecksumError:
           ++counters.checksum_errors;
@@ -234,6 +244,7 @@ class RobotCtrlBusSlave {
       const bool flag = frame[0] == kFlagStandard || frame[0] == kFlagLong;
       const Check found = flag ? check(whole_) : Check::NoFrame;
       if (found == Check::Incomplete) return;
+      next_frame_ = true;
       if (found != Check::Complete) {
         ++whole_;
       } else if (frame[header_size_ - 2] == kCmdFunction && handler_.received_while_pending(frame[header_size_ - 1])) {
@@ -333,6 +344,7 @@ class RobotCtrlBusSlave {
   }
 
   void drop(uint16_t count) {
+    next_frame_ = true;
     size_ -= count;
     memmove(buffer_, buffer_ + count, size_);
   }
@@ -341,17 +353,19 @@ class RobotCtrlBusSlave {
   BusHandler& handler_;
   uint32_t frame_timeout_ms_;
   uint32_t last_byte_ms_ = 0;
-  uint8_t buffer_[kBufferSize];
+  uint32_t begun_ms_ = 0;  // the incomplete frame
   uint16_t size_ = 0;
-  uint16_t whole_ = 0;  // while a function is pending: the number of bytes that have been checked
+  uint16_t whole_ = 0;  // while a function is pending: the number of bytes that have been checked; else 0
   // Of the last frame in check():
   uint16_t header_size_ = 0;
   uint16_t data_size_ = 0;
   uint16_t frame_size_ = 0;
   bool synchronised_ = false;
   bool pending_ = false;
+  bool next_frame_ = false;  // the incomplete frame is another one than in the last poll()
   uint8_t requests_left_ = kRequestsAtOnce;  // that may be executed before the next poll()
   uint8_t invalid_ = 0;  // the INVALID code that has still to be sent
+  uint8_t buffer_[kBufferSize];  // last: an AVR's instructions reach the 63 bytes behind a pointer
 };
 
 }  // namespace serial_communication
