@@ -159,10 +159,9 @@ class AnnouncedTest(unittest.TestCase):
                       'fields': ['data'], 'scale': 0.01},
             'gripper': {'type': 48, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt16',
                         'layout': '<H', 'fields': ['data']}})
-        status = self.diagnostics.wait_for('arduino', lambda status: status.keys.get('firmware'),
-                                           'a firmware')
-        self.assertEqual((status.keys['firmware'], status.keys['announced']),
-                         ('nano_car 1.1.0', 'force, gripper'))
+        self.diagnostics.wait_for('arduino', lambda status: (
+            status.keys.get('firmware'), status.keys.get('announced')) == (
+                'nano_car 1.1.0', 'force, gripper'), 'they are shown')
 
     def test_serial_msg_knows_the_chunks_and_then_the_messages(self):
         traffic = Topic('/serial_msg', SerialMsg)
