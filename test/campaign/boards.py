@@ -13,11 +13,15 @@ _SILENCE, _SHORT_SILENCE = 0.29, 0.019
 _SILENT = 1.0            # arduino/network_silence: then the bridge drops the output of a pty
 _DROPS = 0.5             # s in which it notices that the car talks again
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
-# Custom messages of the car: a number, bytes and a sign of life that it sends, and two commands.
-COUNTER, BLOB, ALIVE, HEATER, WINCH = range(60, 65)
+# Custom messages of the car: a number, bytes and a sign of life that it sends, two commands, a row
+# with all keys, and one with the board's time.
+COUNTER, BLOB, ALIVE, HEATER, WINCH, FIELD, TIMED = range(60, 67)
+HEATER_SCALE, HEATER_OFFSET = 0.5, -20
+MISSING = -0x8000         # no value of y in FIELD
 CLIFF = 0x20             # a custom message of the sensor board
 # Custom functions of the bus board.
 PRESS, PROBE, HALT, PUMP, DEPTH, HEIGHT = 0x60, 0x61, 0x62, 0x63, 0x70, 0x71
+PRESS_TIMEOUT = 0.45     # s, of PRESS: neither of the two of rig.py
 MEMORY = 0xF0            # a function of the bus board that only raw requests use
 POLLS = codec.ENVIRONMENT, DEPTH, HEIGHT
 ANNOUNCE = 0xFF          # the function that returns a chunk of its announcement
@@ -30,12 +34,19 @@ CUSTOM: Dict[str, Dict[str, Any]] = {    # parameters of the bridge that define 
                  'fields': ['data']},
         'alive': {'type': ALIVE, 'ros_type': 'std_msgs/Empty', 'layout': '<', 'fields': []},
         'heater': {'type': HEATER, 'direction': 'to_board', 'ros_type': 'sensor_msgs/Temperature',
-                   'layout': '>H', 'fields': ['temperature']},
+                   'layout': '>H', 'fields': ['temperature'], 'scale': HEATER_SCALE,
+                   'offset': HEATER_OFFSET, 'maximum': 20000},
         'winch': {'type': WINCH, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt16',
-                  'layout': '>H', 'fields': ['data']}},
+                  'layout': '>H', 'fields': ['data']},
+        'field': {'type': FIELD, 'ros_type': 'sensor_msgs/MagneticField', 'layout': '<3h',
+                  'fields': [f'magnetic_field.{axis}' for axis in 'xyz'], 'scale': [0.5, 0.25, 1],
+                  'offset': [10, 0, 0], 'invalid': ['', MISSING, ''], 'frame_id': 'magnet',
+                  'constants': {'magnetic_field_covariance': [1.0, 2.0, 3.0]}},
+        'timed': {'type': TIMED, 'ros_type': 'sensor_msgs/Temperature', 'layout': '<IB',
+                  'fields': ['@time', 'temperature']}},
     'mcu/messages': {'cliff': {'type': CLIFF, **_NUMBER}},
     'bus/functions': {
-        'press': {'cmd2': PRESS, 'srv_type': 'serial_communication/Lift', 'timeout': 0.3,
+        'press': {'cmd2': PRESS, 'srv_type': 'serial_communication/Lift', 'timeout': PRESS_TIMEOUT,
                   'request': {'layout': '<2B', 'fields': ['direction', 'distance']}},
         'probe': {'cmd2': PROBE, **_TRIGGER},
         'halt': {'cmd2': HALT, 'interrupts': True, **_TRIGGER}}}
@@ -56,7 +67,7 @@ class Sent(NamedTuple):
 _COMMANDS = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H', HEATER: '>H'}
 _MEASUREMENTS = {codec.TICKS: ('~ticks', '<B'), codec.STEERING_ANGLE: ('~steering_angle', '<H'),
                  COUNTER: ('~counter', '<I'), codec.VOLTAGE: ('~voltage', '<f'),
-                 codec.IMU: ('~imu', '>11h')}
+                 codec.IMU: ('~imu', '>11h'), FIELD: ('~field', '<3h')}
 _STATUS, _UNKNOWN = '<HHHhh', (0x8000, -0x8000, -0x8000)    # of the sensor board; its angles
 
 
@@ -246,6 +257,8 @@ class Car(Board):
         if frame.type == codec.IMU:
             return [(topic, values[:10]), ('~imu/temperature', values[10]),
                     ('tf/imu_orientation', unit_key(values[:4]))]
+        if frame.type == FIELD:
+            return [(topic, (values[0], None if values[1] == MISSING else values[1], values[2]))]
         if frame.type == codec.VOLTAGE:
             return [(topic, wire_number(values[0] * 1000))]
         return [(topic, values[0])]
@@ -255,7 +268,7 @@ class Car(Board):
         self._number = n = self._number + 1
         for type_, *values in ((codec.TICKS, n % 256), (codec.STEERING_ANGLE, n % 1025),
                                (codec.VOLTAGE, n % 90000 / 1000), (COUNTER, n),
-                               (codec.IMU, *imu_values(n))):
+                               (codec.IMU, *imu_values(n)), (FIELD, *field_values(n))):
             layout = _MEASUREMENTS[type_][1]
             self.send(codec.arduino_packet(type_, struct.pack(layout, *values)))
 
@@ -268,6 +281,11 @@ def imu_values(n: int) -> Tuple[int, ...]:
     quaternion[axis] = round(16384 * math.sin(angle))
     return (*quaternion, n % 30000, -(n % 30011), n % 7, n * 3 % 20011, -(n % 8192), 8192 - n % 99,
             n % 30000 - 15000)
+
+
+def field_values(n: int) -> Tuple[int, int, int]:
+    """The values of FIELD packet n."""
+    return n % 30000, -(n % 30001) if n % 5 else MISSING, n % 29999 - 15000
 
 
 class Sensors(Board):
@@ -290,6 +308,7 @@ class Sensors(Board):
             return []
         one, two, *angles = struct.unpack(_STATUS, frame.data)
         known = tuple(angles) != _UNKNOWN
+        angles[0] -= 36000 * (angles[0] > 36000)
         return [('mcu/status', (frame.number, known and 0xFFFF not in (one, two), one, two,
                                 tuple(angles) if known else (None,) * 3)),
                 ('mcu/range_1', range_key(one)), ('mcu/range_2', range_key(two)),
@@ -302,8 +321,9 @@ class Sensors(Board):
     def measure(self) -> None:
         """Send one status; its ranges and angles follow from its number."""
         self._number = n = self._number + 1
-        ranges = n % 65535, 0xFFFF if n % 10 == 0 else n * 7 % 2500
-        angles = (n * 37 % 36000, n % 9000 - 4500, -(n % 17000)) if n % 7 else _UNKNOWN
+        ranges = 0xFFFF if n % 11 == 0 else n % 65535, 0xFFFF if n % 10 == 0 else n * 7 % 2500
+        # The heading may be over 360 degrees, but is never 360.
+        angles = ((n * 998 + 1) % 47000, n % 9000 - 4500, -(n % 17000)) if n % 7 else _UNKNOWN
         self.send(self.frame(codec.SENSORS, struct.pack(_STATUS, *ranges, *angles)))
         self.send(self.frame(codec.ADC, struct.pack('<6H', *range(n % 60000, n % 60000 + 6))))
 
@@ -358,6 +378,7 @@ class BusBoard(Board):
         probe: likewise to SYNC and ECHO.
         in_step: False after a reset, until a SYNC.
         lost_echoes: ECHOs since the latest one that returned.
+        lost_questions: so many questions for its announcement are not answered.
         check_fence: called for each request that needs one.
     """
 
@@ -372,6 +393,7 @@ class BusBoard(Board):
         self.probe: Optional[Callable[[Request], Optional[Reaction]]] = None
         self.in_step, self.lost_echoes = True, 0
         self.announces = b''
+        self.lost_questions = 0
         self.readings = 0
         self.check_fence: Callable[[Fence], Any] = lambda fence: None
         self.on_request: Callable[[Request], None] = self.requests.append
@@ -475,6 +497,9 @@ class BusBoard(Board):
             other = self.probe(request)
         elif not self.in_step:
             other = Reaction([(0, _OUT_OF_STEP)])
+        elif request.cmd2 == ANNOUNCE and self.lost_questions:
+            self.lost_questions -= 1
+            other = Reaction()
         elif request.cmd2 == ANNOUNCE:
             chunks = codec.announcement(self.announces, 30)[request.data[0]:]
             other = Reaction([(0, reply_frame(codec.OK, chunks[0]) if chunks else _NO_CHUNK)])

@@ -4,12 +4,12 @@ import re
 from typing import List
 
 import by_definition as codec
-from .boards import ALIVE, BLOB, COUNTER
+from .boards import ALIVE, BLOB, COUNTER, FIELD, TIMED
 
 _LONGEST = 2200          # bytes: no frame spans more
 _NOISE = 1, 2, 3, 8, 20, 60      # bytes
 _CAR_LENGTHS = {codec.STEERING_ANGLE: 2, codec.TICKS: 1, codec.IMU: 22, codec.VOLTAGE: 4,
-                COUNTER: 4, ALIVE: 0}
+                COUNTER: 4, ALIVE: 0, FIELD: 6, TIMED: 5}
 
 
 class DamagedLine:

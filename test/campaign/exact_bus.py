@@ -4,10 +4,13 @@ import itertools
 import signal
 import struct
 import time
-from typing import Any, Callable, ContextManager, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, ContextManager, List, NamedTuple, Sequence, Tuple
+
+import rosgraph
 
 import by_definition as codec
-from .boards import HALT, MEMORY, OK, PRESS, PROBE, PUMP, PUMP_ROW, Reaction, Request, reply_frame
+from .boards import (ANNOUNCE, HALT, MEMORY, OK, POLLS, PRESS, PRESS_TIMEOUT, PROBE, PUMP, PUMP_ROW,
+                     Reaction, Request, reply_frame)
 from .rig import MOTION_TIMEOUT, NOISE, POLLED_TOPICS, REPLY_TIMEOUT, Rig
 from .robot import NODE, NOT_SENT, Outcome
 
@@ -17,6 +20,9 @@ _ROS_TIME = 0.2          # s that ROS may take for a call
 _LATE = 0.1              # s after the timeout
 SERVICES = 'lift', 'gimbal', 'bus/request', 'press'
 _FUNCTIONS = {'lift': codec.LIFT, 'gimbal': codec.GIMBAL, 'press': PRESS}
+_DIRECTIONS = {'lift': 2, 'gimbal': 4, 'press': 2}
+_TIMEOUTS = {'lift': MOTION_TIMEOUT, 'gimbal': MOTION_TIMEOUT, 'press': PRESS_TIMEOUT,
+             'bus/request': REPLY_TIMEOUT}
 
 
 def _refusal(code: int, kind: int = codec.INVALID) -> bytes:
@@ -65,6 +71,7 @@ CASES = (
 # Tried with two services only: those of the session, which are the same for all. INVALID because of
 # noise, and the request behind the noise is executed; replies to ECHO and SYNC that are wrong.
 SESSION_CASES = (
+    Case('with data in its reply', [Reaction([(0, reply_frame(codec.OK, b'1234'))], True)], 'done'),
     *(Case(f'INVALID {code:#x}, but executed', [_executed(0.01, before=_refusal(code)), _DONE],
            'not known') for code in (codec.BAD_CHECKSUM, codec.NOT_SYNCHRONISED, 0x20)),
     *(Case(f'an OK with another flag, then INVALID {code:#x}', [
@@ -107,7 +114,7 @@ class Calls:
         n = next(self._numbers)
         if service == 'bus/request':
             return MEMORY, struct.pack('<I', n)
-        return _FUNCTIONS[service], bytes((n % 2, n // 2 % 256))
+        return _FUNCTIONS[service], bytes((n % _DIRECTIONS[service], 255 - n // 2 % 256))
 
     def start(self, service: str) -> Call:
         key = self.next_key(service)
@@ -135,11 +142,15 @@ class Calls:
                          outcome.began, outcome.ended, limit + QUEUE_TIME + _ROS_TIME, what)
         self.matches.check(outcome.name in wanted, f'{text}, expected "{wanted}"')
         outcome.check(self.rig.row, executed, text)
+        self.matches.check(outcome.message and (not outcome.success or outcome.status == codec.OK),
+                           f'{text}: status')
         if outcome.success:
             self.own_reply.check(key[0] != MEMORY or outcome.data == key[1], f'{what}: other data')
         elif outcome.name != 'not known':
             codes = (codec.FAILED, 0x20, codec.BAD_CHECKSUM) if outcome.name == 'refused' else (0,)
             self.matches.check(outcome.error_code in codes, f'{text}: code {outcome.error_code}')
+            status = codec.ERROR if outcome.error_code == codec.FAILED else codec.INVALID
+            self.matches.check(outcome.name != 'refused' or outcome.status == status, text)
         return outcome
 
     def check_received(self, key: Key, times: int, what: str, connection: int = 0) -> None:
@@ -156,6 +167,16 @@ def outcomes(rig: Rig) -> None:
     for case, service in rig.tries(*itertools.product(CASES, SERVICES),
                                    *itertools.product(SESSION_CASES, ('lift', 'press'))):
         _try_case(calls, case, service)
+    own = rig.row('a call without a reply ends after the timeout of its function')
+    for service in rig.tries(*SERVICES):
+        rig.bus.react = lambda request: _executed()
+        outcome, timeout = calls.call(service, 'without a reply', 'not known'), _TIMEOUTS[service]
+        rig.in_time(own, outcome.began, outcome.ended, timeout + _ROS_TIME, service, timeout)
+    rig.settle()
+    for service in 'lift', 'gimbal':
+        outcome = rig.robot.call(service, _DIRECTIONS[service], 1)
+        calls.matches.check(outcome.status == NOT_SENT and not rig.bus.executed,
+                            f'{service} in a direction that it has not: {outcome}')
 
 
 def _try_case(calls: Calls, case: Case, service: str) -> None:
@@ -192,15 +213,37 @@ def readings(rig: Rig) -> None:
         received = rig.bus.count(codec.ENVIRONMENT)
         again.check(outcome.success and received == lost + 1, f'{lost} lost: {outcome}')
         rig.compare(rig.bus)
+        header = rig.robot.published['~environment'][-1].message.header
+        again.check((header.stamp, header.frame_id) == (
+            outcome.header.stamp, outcome.header.frame_id), f'{outcome.header}, not {header}')
         published = [each.key for each in rig.robot.published['~environment']]
         again.check([outcome.reading] == published, f'{outcome}, {published} published')
     rig.settle()
+    rig.bus.react = lambda request: _LOST
+    outcome = rig.robot.call('get_environment')
+    received = rig.bus.count(codec.ENVIRONMENT)
+    again.check(not outcome.success and received == 3, f'{received} lost: {outcome}')
+    rig.settle()
+    _call_session(rig)
     for size in (253, 254, 255, 256, 300, 1024):
         data = bytes(n % 255 + 1 for n in range(size))
         outcome = rig.robot.call('bus/request', codec.FUNCTION, MEMORY, data)
         rig.row('requests and replies with up to 1024 bytes arrive unchanged').check(
             outcome.data == data and rig.bus.executed[MEMORY, data] == 1,
             f'{size} bytes: {outcome.status}, {len(outcome.data)} bytes')
+
+
+def _call_session(rig: Rig) -> None:
+    """The services that send ECHO and SYNC; the one of ECHO tells how many ms the reply took."""
+    required = rig.row('bus/sync sends SYNC; bus/echo tells how long ECHO took')
+    outcome = rig.robot.call('bus/sync')
+    required.check(outcome.success and codec.SYNC in [each.cmd1 for each in rig.bus.requests],
+                   f'SYNC: {outcome}')
+    rig.bus.probe = lambda request: Reaction([(0.05, OK)])
+    outcome = rig.robot.call('bus/echo')
+    took = float(outcome.message.split()[0]) / 1e3
+    required.check(0.049 < took < outcome.ended - outcome.began, f'ECHO: {outcome}')
+    rig.bus.probe = None
 
 
 def _reconnect(rig: Rig, silent: int = -1) -> None:
@@ -247,6 +290,8 @@ def unanswered_sync(rig: Rig) -> None:
     rig.wait_in_step()
     calls.call('lift', 'after SYNC', 'done')
     rig.diagnosed('bus', 0, 'ready')
+    rig.row('a function is sent only to the board that announced it').check(
+        not rig.bus.count(ANNOUNCE), 'a question for an announcement')
 
 
 def queue(rig: Rig) -> None:
@@ -293,6 +338,15 @@ def interrupted(rig: Rig) -> None:
             calls.check(outstanding, 'interrupted', 'not known', 1.0)
             calls.check(behind, 'behind a stop', 'not sent', 1.0)
         at_once.check(stop().success or noise, 'the stop failed')
+    for _ in rig.tries(*range(2)):
+        outstanding = calls.start_unanswered()
+        rig.bus.probe = lambda request: _LOST
+        stop = rig.robot.start_call('halt')
+        rig.row('a stop is sent again while no ECHO returns').wait(
+            lambda: rig.bus.count(HALT) > 1, 'it is sent again', 5.0)
+        rig.bus.react = rig.bus.probe = None
+        calls.check(outstanding, 'interrupted', 'not known', 1.0)
+        stop()
 
 
 def _dribble(rig: Rig) -> ContextManager[None]:
@@ -336,9 +390,9 @@ def announced(rig: Rig) -> None:
     """A board announces a function; another one, which announces nothing, takes its place."""
     required = rig.row('a function is sent only to the board that announced it')
     for same_port in rig.tries(True, False):
-        rig.bus.announces = PUMP_ROW
+        rig.bus.announces, rig.bus.lost_questions = PUMP_ROW, 3
         _reconnect(rig)
-        required.wait(lambda: rig.robot.call('pump').success, 'the announced function is served')
+        required.wait(lambda: rig.robot.call('pump').success, 'pump is served', 10.0)
         rig.bus.announces, executed = b'', rig.bus.executed[PUMP, b'']
         if same_port:
             rig.bus.in_step = False
@@ -349,6 +403,12 @@ def announced(rig: Rig) -> None:
             required.check(rig.bus.executed[PUMP, b''] == executed and not outcome.success,
                            f'the other board executed it: {outcome}')
             rig.wait_in_step()
+        required.wait(lambda: f'{NODE}/pump' not in _services(), 'pump is gone', 10.0)
+
+
+def _services() -> List[str]:
+    """All that the master knows."""
+    return [name for name, _nodes in rosgraph.Master('/campaign').getSystemState()[2]]
 
 
 def polls(rig: Rig) -> None:
@@ -359,12 +419,32 @@ def polls(rig: Rig) -> None:
         rig.bus.react = lambda request: _executed(0, delay)
         for topic in POLLED_TOPICS:
             required.wait(lambda: len(rig.robot.published[topic]) >= 5, f'{topic} is polled')
-    rig.bus.react = None
+    _check_turns(rig)
     for topic in POLLED_TOPICS:
         sent = {each.key: each.wall for each in rig.bus.sent if each.topic == topic}
         for message in list(rig.robot.published[topic]):
             if required.check(message.key in sent, f'{topic}: {message.key}, which was not sent'):
                 rig.check_stamp(sent[message.key], message, topic)
+
+
+def _check_turns(rig: Rig) -> None:
+    """Polls that fail, and polls that take so long that one always waits; then each in time."""
+    required = rig.row('polls go on in their period, and calls go before them')
+    rig.bus.react = lambda request: _FAILED
+    count = len(rig.bus.requests)
+    rig.wait(lambda: len(rig.bus.requests) > count + 20, 'polls that fail')
+    rig.bus.react = lambda request: _executed(0.15)
+    for _ in range(3):
+        outcome = rig.robot.call('bus/request', codec.FUNCTION, MEMORY, b'1')
+        required.check(outcome.success, f'behind polls: {outcome}')
+    rig.bus.react = None
+    for cmd2 in POLLS:
+        since = len(rig.bus.requests)
+
+        def times() -> List[float]:
+            return [each.t for each in rig.bus.requests[since:] if each.cmd2 == cmd2]
+        required.wait(lambda: len(times()) > 10, f'polls of {cmd2:#x}')
+        rig.in_time(required, times()[0], times()[10], 1.2, f'ten polls of {cmd2:#x}')
 
 
 SERIAL = (outcomes, readings, queue, never_echoes, unanswered_sync, interrupted, dribble,

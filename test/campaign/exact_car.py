@@ -6,13 +6,16 @@ from typing import Any, Iterable, List
 import by_definition as codec
 from .boards import HEATER, WINCH, Packet
 from .rig import AFTER, LATCHED, SPEED_TIMEOUT, STOP_FIRST, Rig
-from .robot import COMMANDS, WITH_STAMP
+from .robot import COMMANDS, NODE, WITH_STAMP
 
 TYPES = {'speed': codec.SPEED, 'steering': codec.STEERING, 'led': codec.LED, 'winch': WINCH,
          'heater': HEATER}
 _STOP_DELAY = 0.05       # s that SPEED 0 may be sent later than speed_timeout
 _REPEAT_PERIOD = 0.05    # s
 _REPEAT_TIME = 1.0       # s
+_GOES_ON = 5.0           # s
+_BEFORE = 'SPEED 0 precedes a calibration; nothing is sent during it'
+_OVER = 'a calibration ends with the first IMU data after a silence of 2 s'
 _AGE = 0.8               # s, over arduino/command_age
 
 
@@ -68,13 +71,14 @@ def commands(rig: Rig) -> None:
     required = rig.row('values arrive unchanged; SPEED limited, LED text checked')
     burst = rig.row('of a burst of commands each arrives at most once, in order, and the last')
     drive = Drive(rig)
-    for name, values in (('speed', (1, -2, 999, 1000, -1000)), ('steering', range(1500, 1530)),
-                         ('winch', range(40000, 40010)), ('heater', range(256, 266)),
-                         ('led', range(10, 20))):
+    for name, values in (
+            ('speed', (1, -2, 999, 1000, -1000)), ('steering', (*range(1500, 1530), 65535)),
+            ('winch', range(40000, 40010)), ('heater', range(256, 266)), ('led', range(10, 20))):
         for value in values:
             drive.command(name, value)
         sent = [value for value in rig.car.commands(TYPES[name]) if value]
         required.check(sent == list(values), f'{name}: {sent} arrived')
+    rig.robot.command('heater', 50000)      # over the maximum of its row
     for commanded, limited in ((5000, 1000), (-32768, -1000)):
         since = len(rig.car.packets)
         rig.robot.command('speed', commanded)
@@ -86,9 +90,10 @@ def commands(rig: Rig) -> None:
         sent = [value for value in rig.car.commands(TYPES[name], since) if value > 0]
         burst.check(sent == sorted(set(sent)) and set(sent) <= set(values), f'{name}: {sent}')
     since = len(rig.car.packets)
-    for text in ('left', 'x' * 31, 'x' * 30, 'ma\u00f1ana', 'disable'):
+    for text in ('left', 'x' * 31, 'x' * 30, 'ma\u00f1ana', 'a\0b', 'disable'):
         rig.robot.command('led', text)
     required.wait(lambda: b'disable\0' in [each.data for each in rig.car.packets], 'LED disable')
+    required.check(50000 not in rig.car.commands(HEATER), 'a heater over its maximum arrived')
     lights = [each.data for each in rig.car.packets[since:] if each.type == codec.LED]
     required.check(lights == [b'left\0', b'x' * 30 + b'\0', b'disable\0'], f'LED {lights} arrived')
 
@@ -118,6 +123,15 @@ def stops(rig: Rig) -> None:
     rig.robot.command('speed', 0)
     in_time.wait(lambda: rig.car.commands(codec.SPEED)[-3:] == [0, 0, 0], 'SPEED 0 is repeated')
     command_once()        # ends the repetitions
+    rig.settle()
+    drive.publish(25, ['steering', 'led'])
+    not_early.check(not rig.car.commands(codec.SPEED), 'a SPEED among other commands')
+    drive.publish(25)
+    speeds = [each for each in rig.car.packets if each.type == codec.SPEED]
+    for before, after in zip(speeds, speeds[1:]):
+        if after.is_stop and not before.is_stop:
+            rig.in_time(not_early, before.t, after.t, 9.0, 'between speeds', SPEED_TIMEOUT - 0.01)
+    not_early.check(True, '')       # also if there was none
 
 
 def check_repetitions(rig: Rig, stop: Packet) -> None:
@@ -172,6 +186,7 @@ def latched(rig: Rig) -> None:
             times = arrived[:arrived.index(second)].count(first)
             if first or name == 'speed':        # a latched SPEED 0 is accepted, others are not
                 required.check(bool(times) == accepted, f'{name} {first} arrived {times} times')
+            Drive(rig).command(name, 900)       # from another publisher, with an older connection
         rig.end(child)
 
 
@@ -198,16 +213,12 @@ def old_connection(rig: Rig) -> None:
 
 def calibration(rig: Rig) -> None:
     """The board does not read while it calibrates, so nothing is sent to it."""
-    required = rig.row('SPEED 0 precedes a calibration; nothing is sent during it')
-    over = rig.row('a calibration ends with the first IMU data after a silence of 2 s')
+    required, over = rig.row(_BEFORE), rig.row(_OVER)
     drive = Drive(rig)
     for moves in rig.tries(True, False):
-        rig.car.talks = False
         if moves:
             drive.command()
-        rig.robot.call('calibrate_imu')
-        request = required.wait(lambda: [each for each in rig.car.packets
-                                         if each.type == codec.CALIBRATION], 'the request')[0]
+        request = _begin_calibration(rig)
         at = rig.car.packets.index(request)
         before = rig.car.packets[at - 1]
         required.check(not moves or before.is_stop, f'the packet before it was {before}')
@@ -216,6 +227,9 @@ def calibration(rig: Rig) -> None:
         rig.car.measure()           # after 1.5 s: it was in the network
         silent_until = time.monotonic() + 2.2
         rig.diagnosed('arduino', 1, 'calibrating')
+        echo = rig.child(f'echo_{moves}', [
+            'rostopic', 'echo', '-n', '1', f'{NODE}/imu/calibrating'])
+        over.wait(lambda: not echo.alive, 'a new subscriber is told')
         while time.monotonic() < silent_until:
             drive.publish(1)
         rig.wait_beats(0.1)
@@ -224,8 +238,64 @@ def calibration(rig: Rig) -> None:
         rig.car.measure()
         over.check(drive.command_until_accepted(), '')
         said = [each.message.data for each in rig.robot.published['~imu/calibrating']]
-        over.check(said == [True, False], f'~imu/calibrating: {said}')
+        over.check(said == [True, False] and 'data: True' in echo.tail(),
+                   f'~imu/calibrating: {said}, to a new subscriber {echo.tail()}')
+        rig.end(echo)
         rig.car.talks = True
 
 
-SERIAL = commands, stops, old_stamps, latched, old_connection, calibration
+def interrupted_calibration(rig: Rig) -> None:
+    """The port is opened anew, or the bridge stalls: what it observed before is no silence."""
+    over = rig.row(_OVER)
+    for interrupt in rig.tries(_open_again, _stall):
+        _begin_calibration(rig)
+        rig.sleep(1.0)
+        interrupt(rig)
+        rig.sleep(0.7)      # until the bridge drops nothing any more
+        rig.robot.clear_records()
+        rig.car.measure()
+        rig.wait(lambda: rig.robot.values('~imu'), 'IMU data')
+        old = Drive(rig).publish(4)
+        rig.sleep(2.2)
+        sent = set(rig.car.commands(codec.SPEED)) & set(old)
+        over.check(not sent, f'over before a silence of 2 s ({interrupt.__name__})')
+        rig.car.measure()
+        over.check(Drive(rig).command_until_accepted(), '')
+        rig.car.talks = True
+
+
+def _open_again(rig: Rig) -> None:
+    rig.car_line.unplug()
+    rig.sleep(0.5)
+    rig.car_line.plug()
+    rig.wait(lambda: rig.car.beats, 'heartbeats')
+
+
+def _stall(rig: Rig) -> None:
+    with rig.suspended():
+        rig.sleep(1.3)
+
+
+def no_calibration(rig: Rig) -> None:
+    """The board does not calibrate: its IMU data goes on."""
+    required = rig.row('a calibration is over after 5 s of IMU data that goes on')
+    for _ in rig.tries(*range(2)):
+        request = _begin_calibration(rig)
+        with rig.clock.each(0.05, rig.car.measure):
+            said = rig.robot.published['~imu/calibrating']
+            required.wait(lambda: False in [each.message.data for each in said], 'it is over', 10.0)
+        rig.in_time(required, request.t, time.monotonic(), _GOES_ON + 0.5, 'over', _GOES_ON - 0.1)
+        Drive(rig).command_until_accepted()
+        rig.car.talks = True
+
+
+def _begin_calibration(rig: Rig) -> Packet:
+    """Let the car fall silent, ask it to calibrate, and return the request."""
+    rig.car.talks = False
+    rig.robot.call('calibrate_imu')
+    return rig.row(_BEFORE).wait(lambda: [
+        each for each in rig.car.packets if each.type == codec.CALIBRATION], 'the request')[0]
+
+
+SERIAL = commands, stops, old_stamps, latched, old_connection, calibration, \
+    interrupted_calibration, no_calibration

@@ -9,9 +9,10 @@ import time
 from typing import Callable, Dict, Iterable, NamedTuple
 
 import by_definition as codec
-from .boards import Reaction, Request, reply_frame
+from .boards import HALT, Reaction, Request, reply_frame
 from .exact_bus import QUEUE_TIME, SERVICES, Calls
 from .exact_car import Drive, check_first, check_repetitions
+from .exact_data import REPORTED
 from .rig import AFTER, MOTION_TIMEOUT, STOP_FIRST, Rig
 from .robot import COMMANDS, NOT_SENT
 
@@ -41,6 +42,9 @@ def openings(rig: Rig) -> None:
             calls.check(made[1], 'while unplugged', 'not sent', QUEUE_TIME)
             for link in rig.lines:
                 rig.diagnosed(link, 2, 'closed')
+            reports = rig.robot.published['mcu/status']
+            count = len(reports)
+            rig.row(REPORTED).wait(lambda: len(reports) > count, 'of a closed port', 10.0)
             rig.row(STOP_FIRST).check(not rig.robot.call('calibrate_imu').success,
                                       'a closed port calibrates')
         since, count, connection = len(rig.car.packets), len(rig.bus.requests), rig.bus.connection
@@ -83,9 +87,14 @@ def lent(rig: Rig) -> None:
             required.check(outcome.success, f'{link}/release: {outcome}')
         return began + seconds
 
-    for seconds, is_given_back in rig.tries((9.0, True), (3.0, False)):
+    for seconds, is_given_back in rig.tries((9.0, True), (60.0, False)):
+        lift = calls.start_unanswered()
+        required.check(not rig.robot.call('bus/release', 'campaign', 1.0).success,
+                       'lent while the lift moves')
+        lift.result()
+        required.check(not rig.robot.call('arduino/reset').success, 'a pty has no lines')
         drive.command()
-        ends_at = release(seconds)
+        ends_at = min(release(seconds), time.monotonic() + 10.0)
         rig.car_line.drain()
         stop_last.check(rig.car.last.is_stop, f'the last packet was {rig.car.last}')
         for board in (rig.car, rig.bus):        # a pty does not show that it was closed
@@ -95,6 +104,8 @@ def lent(rig: Rig) -> None:
         rig.measure()
         calls.call('lift', 'while lent', 'not sent', 0.0)
         rig.car_line.drain()
+        required.check(not rig.robot.call('arduino/release', 'another', 1.0).success
+                       and not rig.robot.call('arduino/reset').success, 'lent or reset, too')
         required.check(not rig.car.first and len(rig.bus.requests) == count,
                        f'{rig.car.first} or {rig.bus.requests[count:]} was sent')
         if is_given_back:
@@ -246,6 +257,7 @@ def short_stall(rig: Rig) -> None:
         for number in range(1, 5):
             rig.measure()
             rig.sleep(held_at + 0.05 * number - time.monotonic())
+    rig.diagnosed('arduino', 1, 'heartbeat gap')
     rig.wait_beats(AFTER)
     rig.car.talks = True
     rig.compare(rig.car, rig.sensors)
@@ -257,7 +269,7 @@ def stalls(rig: Rig) -> None:
     """SIGSTOP of the bridge, while commands are published, services called and data sent. A reply
     and data wait; over a network they are dropped with the connection."""
     counted = rig.row('bytes that waited during a stall are dropped, counted as stale')
-    for seconds in rig.tries(*((0.7, 1.5) if rig.is_network else (0.4, 0.7, 1.2))):
+    for seconds in rig.tries(*((0.7, 1.5) if rig.is_network else (0.4, 0.6, 1.2))):
         stale: Dict[str, Dict[str, int]] = {
             link: {} if rig.is_network else {'stale': 0} for link in ('arduino', 'mcu')}
         with rig.counted(counted, 'arduino', stale['arduino']), \
@@ -281,6 +293,7 @@ def _stall(rig: Rig, seconds: float, stale: Dict[str, Dict[str, int]]) -> None:
         old = drive.publish(2, pause=0.0)
         calibrated = rig.robot.start_call('calibrate_imu')
         made = [calls.start(service) for service in SERVICES]
+        stop = rig.robot.start_call('halt')
         for number in range(1, 5):
             rig.measure()
             rig.sleep(held_at + seconds * number / 4 - time.monotonic())
@@ -289,10 +302,16 @@ def _stall(rig: Rig, seconds: float, stale: Dict[str, Dict[str, int]]) -> None:
             wanted.update({key: len(b''.join(board.written)) for key in wanted})
     resumed_at, rig.bus.react = time.monotonic(), None
     made.append(calls.start('lift'))
+    rig.sleep(0.25)
+    made.append(calls.start('lift'))
     rig.wait_beats(AFTER)
     _check_data_after_stall(rig, resumed_at)
     car.talks = True
     calls.check(outstanding, 'stall', 'not known', MOTION_TIMEOUT + seconds)
+    stopped = stop()
+    if not rig.is_network:      # else the port is opened anew
+        rig.row('a stop from the time of a stall is sent').check(
+            stopped.success and rig.bus.count(HALT), f'{stopped}')
     for call in made:
         outcome, executed = call.result(), rig.bus.executed[call.key]
         old_calls.check(outcome.status == NOT_SENT and not executed,

@@ -6,7 +6,7 @@ import signal
 import termios
 import time
 import xmlrpc.client
-from typing import Any, Dict, FrozenSet, List, Set, Tuple
+from typing import Any, Dict, FrozenSet, List, Tuple
 
 import rosgraph
 import rospy
@@ -15,7 +15,7 @@ from std_msgs.msg import Empty, UInt8
 import by_definition as codec
 from processes import StageError
 from .boards import CUSTOM, POLLED, Reaction
-from .exact_car import Drive, check_first
+from .exact_car import TYPES, Drive, check_first
 from .exact_data import measurements
 from .rig import LATCHED, Rig
 from .robot import NODE
@@ -25,9 +25,10 @@ _MASTER_RETURN = 10.0    # s
 _ENDS = 'it ends within 2 s, whatever hangs; last packet SPEED 0'
 _TRIES = 20
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-# The third one conflicts with a parameter.
-_ROWS = (b'hoist_%d: {type: %d, direction: to_board, ros_type: std_msgs/Empty, layout: <, fields: '
-         b'[]}\ngauge_%d: {type: %d, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}\n'
+# The last row conflicts with a parameter.
+_HOIST = b'hoist: {type: %d, direction: to_board, ros_type: std_msgs/Empty, layout: <, fields: []}'
+_TEXT = (b'firmware: campaign %d\n' + _HOIST + b'\ngauge: {type: %d, ros_type: std_msgs/UInt8, '
+         b'layout: <B, fields: [data]}\n'
          b'winch: {type: 200, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}')
 _NONSENSE = b'', b'\0\1\0\0{[', *(bytes((number,)) * 40 for number in range(256))
 POLLING: Dict[str, Any] = {
@@ -99,11 +100,14 @@ def killed(rig: Rig) -> None:
     rig.car_line.drain()
     rig.mcu_line.unplug()
     since = len(rig.car.packets)
+    rig.robot.clear_records()
     rig.start(POLLING)
     check_first(rig)
+    absent.wait(lambda: rig.robot.published['mcu/status'], 'a report before the first frame')
     child.order('next')
-    latched.wait(lambda: rig.car.packet(codec.SPEED, 302), 'the new speed arrives')
-    latched.check(not rig.car.packet(codec.SPEED, 301, since), 'the latched speed 301 arrived')
+    for name, type_ in TYPES.items():
+        latched.wait(lambda: rig.car.packet(type_, 302), f'the new {name} arrives')
+        latched.check(not rig.car.packet(type_, 301, since), f'the latched {name} 301 arrived')
     drive.check_not_sent([number], 'from before SIGKILL', since)
     rig.end(child)
     rig.mcu_line.plug()
@@ -177,16 +181,18 @@ def announcements(rig: Rig) -> None:
     required = rig.row('the rows of the last whole text are in use, no others')
     again = rig.row('no command and no value after a reconnect, until announced again')
     for type_ in rig.tries(70, 72, 74):
-        hoist, gauge = f'hoist_{type_}', f'gauge_{type_ + 1}'
-        text = _ROWS % (type_, type_, type_ + 1, type_ + 1)
+        text = _TEXT % (type_, type_, type_ + 1)
         wrong = [chunk[:2] + b'\x12\x34' + chunk[4:] for chunk in codec.announcement(text, 50)]
-        between = codec.announcement(b'between' + text.split(b'\n')[0].replace(b'hoist', b''), 50)
+        between = codec.announcement((b'between' + _HOIST) % type_, 50)
         _announce(rig, *codec.announcement(b'half' + text, 50)[:-1], *_NONSENSE, *wrong, *between,
-                  *codec.announcement(text, 50))
-        required.wait(lambda: _announced() == {hoist, gauge}, f'{hoist} and {gauge} are in use')
+                  *reversed(codec.announcement(text, 50)))
+        required.wait(lambda: _announced() == {'hoist': type_, 'gauge': type_ + 1}, 'in use',
+                      10.0)
+        required.wait(lambda: rig.next_report('arduino')[2]['firmware'] == f'campaign {type_}',
+                      "the firmware's name in /diagnostics", 10.0)
         values: List[int] = []
-        subscriber = rospy.Subscriber(f'{NODE}/{gauge}', UInt8, lambda m: values.append(m.data))
-        command = rospy.Publisher(f'{NODE}/{hoist}', Empty, queue_size=1)
+        subscriber = rospy.Subscriber(f'{NODE}/gauge', UInt8, lambda m: values.append(m.data))
+        command = rospy.Publisher(f'{NODE}/hoist', Empty, queue_size=1)
         rig.wait(lambda: command.get_num_connections() and subscriber.get_num_connections(),
                  'the bridge is connected')
 
@@ -200,18 +206,21 @@ def announcements(rig: Rig) -> None:
         rig.wait(lambda: rig.car.beats, 'heartbeats')
         command.publish()
         Drive(rig).command_until_accepted()
-        again.check(not is_published(8), f'{gauge}: a value was published')
-        again.check(type_ not in [each.type for each in rig.car.packets], f'{hoist} arrived')
+        again.check(not is_published(8), 'gauge: a value was published')
+        again.check(type_ not in [each.type for each in rig.car.packets], 'hoist arrived')
         _announce(rig, *codec.announcement(text, 50))
 
         def is_used() -> bool:
             command.publish()
             rig.wait_beats(0.05)
             return type_ in [each.type for each in rig.car.packets]
-        again.wait(is_used, f'{hoist} arrives')
-        again.wait(lambda: is_published(9), f'{gauge}: the value after that')
+        again.wait(is_used, 'hoist arrives')
+        again.wait(lambda: is_published(9), 'gauge: the value after that')
         subscriber.unregister()
         command.unregister()
+    _announce(rig, *codec.announcement(_HOIST % type_, 50))
+    required.wait(lambda: ('0', f'{NODE}/gauge') not in _registered()
+                  and _announced() == {'hoist': type_}, 'gauge is gone', 10.0)
 
 
 def _announce(rig: Rig, *chunks: bytes) -> None:
@@ -219,8 +228,10 @@ def _announce(rig: Rig, *chunks: bytes) -> None:
         rig.car.write(codec.arduino_packet(codec.ANNOUNCEMENT, chunk))
 
 
-def _announced() -> Set[str]:
-    return {*rospy.get_param(NODE + '/arduino/announced', {})}
+def _announced() -> Dict[str, int]:
+    """The types of the rows in use."""
+    rows = rospy.get_param(NODE + '/arduino/announced', {})
+    return {name: row['type'] for name, row in rows.items()}
 
 
 SERIAL = second_bridge, suspended_subscriber, new_master, announcements

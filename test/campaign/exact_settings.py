@@ -4,7 +4,7 @@ import json
 import struct
 import threading
 import time
-from typing import Any, Dict
+from typing import Any, Dict, List
 
 import rospy
 from dynamic_reconfigure.msg import Config, DoubleParameter, IntParameter
@@ -18,9 +18,15 @@ from .robot import NODE
 _SETTING = 253
 _LAYOUTS = {1: '<f', 2: '<H'}
 _DEFAULTS = {1: 1.0, 2: 100}
-PARAMETERS = {'arduino/settings': json.dumps({
+_MOST_USED = {1: 8.0, 2: 1000}     # the board limits them
+_ANSWER = 0.6           # s until a set is answered
+_IN_USE_IN = 3.0        # s until its values are in use, while requests and answers are lost
+START = 2.5
+PARAMETERS: Dict[str, Any] = {'arduino/settings': json.dumps({
     'gain': {'setting': 1, 'layout': '<f', 'minimum': 0.0, 'maximum': 10.0},
-    'ramp': {'setting': 2, 'layout': '<H'}})}
+    'ramp': {'setting': 2, 'layout': '<H'}}),
+    'mcu/settings': json.dumps({'filter': {'setting': 1, 'layout': '<H'}}),
+    'settings/arduino/gain': START}
 _BACK = 1.0             # s
 _MOST = 20              # frames with settings in a second
 _WINDOW = 0.9           # s; a packet may be read so much later than another that it seems nearer
@@ -49,7 +55,8 @@ class _Tunable:
         self._car.packets.append(packet)
         number = packet.data[0] if packet.type == _SETTING else 0
         if number in _LAYOUTS and not self._is_lost():
-            self.values[number], = struct.unpack(_LAYOUTS[number], packet.data[1:])
+            value, = struct.unpack(_LAYOUTS[number], packet.data[1:])
+            self.values[number] = min(value, _MOST_USED[number])
             if not self._is_lost():
                 self.report(number)
 
@@ -72,11 +79,11 @@ class _Tunable:
         return f'gain={self.values[1]:g}, ramp={self.values[2]:g}'
 
 
-def _set(**values: float) -> Dict[str, float]:
+def _set(link: str = 'arduino', **values: float) -> Dict[str, float]:
     """Set these; return what the bridge answers."""
-    config = rospy.ServiceProxy(f'{NODE}/settings/arduino/set_parameters', Reconfigure)(Config(
+    config = rospy.ServiceProxy(f'{NODE}/settings/{link}/set_parameters', Reconfigure)(Config(
         doubles=[DoubleParameter(name, value) for name, value in values.items() if name == 'gain'],
-        ints=[IntParameter(name, value) for name, value in values.items() if name == 'ramp'],
+        ints=[IntParameter(name, value) for name, value in values.items() if name != 'gain'],
     )).config
     return {each.name: each.value for each in (*config.doubles, *config.ints)}
 
@@ -87,12 +94,20 @@ def confirmed(rig: Rig) -> None:
     with _Tunable(rig) as car:
         for loses, number in itertools.product((0, 3, 2), range(1, 5)):
             car.loses = loses
+            began = time.monotonic()
             told = _set(gain=number / 4, ramp=number * 10 + loses)
+            rig.in_time(required, began, time.monotonic(), _ANSWER, 'a set')
             values = rig.next_report('arduino')[2]
             if not values['settings unconfirmed']:
                 required.check(values['settings'] == car.text, f"{values['settings']} is told as "
                                f'confirmed, {car.text} is in use')
             required.check(told == {'gain': number / 4, 'ramp': number * 10 + loses}, f'{told}')
+            required.wait(lambda: car.values == {1: number / 4, 2: number * 10 + loses}, 'in use')
+            rig.in_time(required, began, time.monotonic(), _IN_USE_IN, 'both are in use')
+        car.loses = 0
+        required.wait(lambda: _set(gain=99.0)['gain'] == _MOST_USED[1], "the board's limit is told")
+        required.wait(lambda: rospy.get_param(f'{NODE}/settings/arduino')
+                      == {'gain': _MOST_USED[1], 'ramp': 42}, 'the parameters', 10.0)
 
 
 def resets(rig: Rig) -> None:
@@ -176,4 +191,33 @@ def no_rows(rig: Rig) -> None:
         required.check(not sent, f'{sent[:2]} were sent')
 
 
-SERIAL = confirmed, resets, calibrates, dragged
+def starts(rig: Rig) -> None:
+    """A value of the parameters is wanted; without one the board's own is shown."""
+    required = rig.row('at the start the wanted settings are sent, others are only shown')
+    with _Tunable(rig) as car:
+        required.wait(lambda: car.values[1] == START, 'the gain of the parameters', 10.0)
+        car.report(2)
+        required.wait(lambda: rig.next_report('arduino')[2]['settings'] == car.text, car.text,
+                      10.0)
+        sent = [each.data[0] for each in rig.car.packets if each.type == _SETTING]
+        required.check(2 not in sent, 'a ramp that nobody wants was sent')
+
+
+def sensors(rig: Rig) -> None:
+    """A setting of the sensor board."""
+    required = rig.row(_IN_USE)
+    values: List[int] = []
+
+    def received(frame: codec.Frame, now: float) -> None:
+        if (frame.type, frame.data[0]) == (_SETTING, 1):
+            values.append(int.from_bytes(frame.data[1:], 'little'))
+            rig.sensors.write(rig.sensors.frame(_SETTING, frame.data))
+    rig.sensors.received = received
+    for value in 3, 258, 65535:
+        told = _set('mcu', filter=value)
+        required.check(told == {'filter': value} and values[-1:] == [value], f'{told}, {values}')
+        required.wait(lambda: rig.next_report('mcu')[2]['settings'] == f'filter={value}',
+                      f'/diagnostics: filter={value}', 10.0)
+
+
+SERIAL = starts, sensors, confirmed, resets, calibrates, dragged

@@ -15,13 +15,14 @@ from .lines import Clock, NetworkLine, SerialLine
 from .logs import LogCheck
 from .machine import MARGIN, Machine
 from .requirements import Requirement, Table
-from .robot import FRAMES, TOPICS, Published, Robot
+from .robot import FRAMES, TOPICS, Published, Robot, other_fields
 
 REPLY_TIMEOUT = 0.3      # s: parameters of the bridge
 MOTION_TIMEOUT = SPEED_TIMEOUT = 0.5
+MOUNT = 0.1, -0.2, 0.3, 0.0, 0.0, 0.5     # of range_2: x y z, roll pitch yaw
 PARAMETERS: Dict[str, Any] = {
     'bus/motion_timeout': MOTION_TIMEOUT, 'bus/reply_timeout': REPLY_TIMEOUT,
-    'bus/environment_period': 0.0, 'publish_tf': True,
+    'bus/environment_period': 0.0, 'publish_tf': True, 'mcu/range_2_mount': json.dumps(MOUNT),
     **{name: json.dumps(rows) for name, rows in CUSTOM.items()}}
 POLLED_TOPICS = '~depth', '~height', '~environment', '~environment/temperature', \
     '~environment/humidity'
@@ -261,6 +262,8 @@ class Rig(Stage):
                                   f'{topic}: {one} sent, {message} published'):
                 return
             self.check_stamp(one.wall, message, topic)
+            wrong = other_fields(topic, message.message)
+            required.check(not wrong, wrong)
             if topic in FRAMES:
                 frame = message.message.header.frame_id
                 required.check(frame == FRAMES[topic], f'{topic} has the frame {frame}')

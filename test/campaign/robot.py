@@ -9,7 +9,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from rospy.impl.registration import Registration, get_registration_listeners
-from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
+from sensor_msgs.msg import Imu, MagneticField, Range, RelativeHumidity, Temperature
 from std_msgs.msg import Bool, String, UInt8MultiArray, UInt16, UInt32
 from std_srvs.srv import Empty, Trigger
 from tf2_msgs.msg import TFMessage
@@ -18,7 +18,7 @@ from serial_communication.msg import (Environment, McuStatus, McuStatus2, Serial
                                       SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand, Ticks,
                                       Voltage)
 from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift, Release
-from .boards import Sent, range_key, unit_key, wire_number
+from .boards import HEATER_OFFSET, HEATER_SCALE, Sent, range_key, unit_key, wire_number
 from .requirements import MAX_WAIT, Requirement
 
 NODE = '/serial_communication'
@@ -29,7 +29,8 @@ _ACCELERATION = 8 / 65536 * 9.81
 SERVICES = {'lift': Lift, 'gimbal': Gimbal, 'bus/request': BusRequest, 'press': Lift,
             'probe': Trigger, 'get_environment': GetEnvironment, 'bus/echo': Trigger,
             'bus/sync': Trigger, 'calibrate_imu': Empty, 'halt': Trigger, 'pump': Trigger,
-            **{f'{link}/release': Release for link in ('bus', 'arduino', 'mcu')}}
+            **{f'{link}/{name}': kind for link in ('bus', 'arduino', 'mcu')
+               for name, kind in (('release', Release), ('reset', Trigger))}}
 
 
 class Published(NamedTuple):
@@ -50,6 +51,7 @@ class Outcome(NamedTuple):
     data: bytes = b''
     error_code: int = 0
     reading: Any = None      # of get_environment, as it is published
+    header: Any = None       # likewise
     began: float = 0.0
     ended: float = 0.0
 
@@ -113,12 +115,19 @@ def _environment(message: Environment) -> Tuple:
     return message.smoke, _hundredths(message.temperature), _hundredths(message.humidity)
 
 
+def _field(message: MagneticField) -> Tuple:
+    x, y, z = (getattr(message.magnetic_field, axis) for axis in 'xyz')
+    return (wire_number((x - 10) * 2), None if math.isnan(y) else wire_number(y * 4),
+            wire_number(z))
+
+
 ToKey = Callable[[Any], Any]
 _VALUE, _DATA = operator.attrgetter('value'), operator.attrgetter('data')
 TOPICS: Dict[str, Tuple[Any, ToKey]] = {
     '~ticks': (Ticks, _VALUE), '~steering_angle': (SteeringFeedback, _VALUE),
     '~voltage': (Voltage, lambda message: wire_number(message.value * 1000)),
-    '~counter': (UInt32, _DATA), '~imu': (Imu, _imu),
+    '~counter': (UInt32, _DATA), '~imu': (Imu, _imu), '~field': (MagneticField, _field),
+    '~timed': (Temperature, operator.attrgetter('temperature')),
     '~imu/temperature': (Temperature, lambda m: wire_number((m.temperature - 36.53) * 340)),
     'mcu/status': (McuStatus2, _status), 'mcu/cliff': (UInt32, _DATA),
     'mcu/range_1': (Range, _range), 'mcu/range_2': (Range, _range),
@@ -131,7 +140,51 @@ TOPICS: Dict[str, Tuple[Any, ToKey]] = {
     'tf/imu_orientation': (None, lambda q: unit_key((q.w, -q.y, q.x, q.z))),
     'tf/mcu_imu_orientation': (None, _attitude),
     '~depth': (UInt32, _DATA), '~height': (UInt32, _DATA)}
-FRAMES = {'~imu': 'imu', '~imu/temperature': 'imu', 'mcu/imu': 'mcu_imu',
+
+
+def _matrix(*deviations: float) -> Tuple[float, ...]:
+    """The diagonal matrix of these variances."""
+    return tuple(each ** 2 if row == column else 0.0 for row, each in enumerate(deviations)
+                 for column in range(3))
+
+
+_ATTITUDE = _matrix(math.radians(1), math.radians(1), math.radians(5))
+_UNKNOWN = (-1.0, *[0.0] * 8)
+_COVARIANCES = operator.attrgetter('orientation_covariance', 'angular_velocity_covariance',
+                                   'linear_acceleration_covariance')
+_LIMITS = (operator.attrgetter('radiation_type', 'field_of_view', 'min_range', 'max_range'),
+           (Range.INFRARED, math.radians(25), 0.03, 2.0))
+_NOWHERE = (operator.attrgetter('transform.translation.x', 'transform.translation.y',
+                                'transform.translation.z'), (0.0, 0.0, 0.0))
+# Fields that are the same in every message.
+SAME: Dict[str, Tuple[Callable[[Any], Any], Tuple]] = {
+    '~imu': (_COVARIANCES, (_ATTITUDE, _matrix(*[math.radians(0.05)] * 3),
+                            _matrix(*[400e-6 * 9.807] * 3))),
+    'mcu/imu': (_COVARIANCES, (_ATTITUDE, _UNKNOWN, _UNKNOWN)),
+    '~field': (operator.attrgetter('magnetic_field_covariance'),
+               _matrix(1.0, math.sqrt(2.0), math.sqrt(3.0))),
+    'mcu/range_1': _LIMITS, 'mcu/range_2': _LIMITS, 'tf/imu_orientation': _NOWHERE,
+    'tf/mcu_imu_orientation': _NOWHERE,
+    'mcu/status': (lambda m: (m.last_frame_age_sec < 1.0,), (True,)),
+    'mcu/adc_status': (lambda m: (m.valid, m.last_frame_age_sec < 1.0), (True, True))}
+
+
+def _flat(value: Any) -> List[float]:
+    return [each for part in value for each in _flat(part)] if isinstance(
+        value, (tuple, list)) else [value]
+
+
+def other_fields(topic: str, message: Any) -> str:
+    """What is wrong with the fields that are the same in every message; '' if nothing is."""
+    fields, wanted = SAME.get(topic, (lambda m: (), ()))
+    found, expected = _flat(fields(message)), _flat(wanted)
+    holds = len(found) == len(expected) and all(
+        math.isclose(one, other, rel_tol=1e-5, abs_tol=1e-12)
+        for one, other in zip(found, expected))
+    return '' if holds else f'{topic} has {found}, not {wanted}'
+
+
+FRAMES = {'~imu': 'imu', '~field': 'magnet', '~imu/temperature': 'imu', 'mcu/imu': 'mcu_imu',
           'tf/imu_orientation': 'imu', 'tf/mcu_imu_orientation': 'mcu_imu',
           'mcu/range_1': 'range_1', 'mcu/range_2': 'range_2', '~environment': 'base_link',
           '~environment/temperature': 'base_link', '~environment/humidity': 'base_link'}
@@ -148,7 +201,11 @@ def command_of(name: str, value: Any, stamp: float = 0.0) -> Any:
     message = kind()
     if stamp:
         message.header.stamp = rospy.Time.from_sec(stamp)
-    setattr(message, field, f'n{value}' if name == 'led' and isinstance(value, int) else value)
+    if name == 'led' and isinstance(value, int):
+        value = f'n{value}'
+    elif name == 'heater':
+        value = value * HEATER_SCALE + HEATER_OFFSET
+    setattr(message, field, value)
     return message
 
 
@@ -166,6 +223,7 @@ class Robot:
                         log_level=rospy.FATAL)
         self.published: Dict[str, List[Published]] = {topic: [] for topic in TOPICS}
         self.reports: Dict[str, Tuple[float, int, str, Dict[str, str]]] = {}    # of /diagnostics
+        self.mounts: Dict[str, Tuple] = {}      # in /tf_static: parent, place and w, z by frame
         self.on_message: Callable[[str, Published], None] = self.keep
         self._pool = ThreadPoolExecutor(32)
         self._publishers = publishers()
@@ -174,6 +232,7 @@ class Robot:
                                (topic, to_key), tcp_nodelay=True)
               for topic, (kind, to_key) in TOPICS.items() if kind),
             rospy.Subscriber('/tf', TFMessage, self._receive_transforms, tcp_nodelay=True),
+            rospy.Subscriber('/tf_static', TFMessage, self._receive_mounts, tcp_nodelay=True),
             rospy.Subscriber('/diagnostics', DiagnosticArray, self._receive_report)]
 
     def clear_records(self) -> None:
@@ -203,6 +262,12 @@ class Robot:
             topic, rotation = f'tf/{each.child_frame_id}', each.transform.rotation
             self.on_message(topic, Published(time.time(), each.header.stamp.to_sec(),
                                              TOPICS[topic][1](rotation), each))
+
+    def _receive_mounts(self, message: TFMessage) -> None:
+        for each in message.transforms:
+            at, turn = each.transform.translation, each.transform.rotation
+            self.mounts[each.child_frame_id] = (each.header.frame_id, *(
+                round(number, 6) for number in (at.x, at.y, at.z, turn.w, turn.z)))
 
     def _receive_report(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -244,11 +309,11 @@ class Robot:
             response = rospy.ServiceProxy(f'{NODE}/{service}', SERVICES[service])(*arguments)
         except (rospy.ServiceException, rospy.ROSException, OSError) as error:
             response = SimpleNamespace(success=False, status=None, message=repr(error))
+        reading = getattr(response, 'environment', Environment())
         return Outcome(getattr(response, 'success', True), getattr(response, 'status', None),
                        getattr(response, 'message', ''), bytes(getattr(response, 'data', b'')),
                        getattr(response, 'error_code', 0),
-                       _environment(getattr(response, 'environment', Environment())),
-                       began, time.monotonic())
+                       _environment(reading), reading.header, began, time.monotonic())
 
     def start_call(self, service: str, *arguments: Any) -> Callable[[], Outcome]:
         """Start a call; return a function that waits for its outcome."""
