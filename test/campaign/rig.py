@@ -106,8 +106,8 @@ class Rig(Stage):
         excess = max(seconds - limit, least - seconds)
         if excess > 0 and self.machine.late(since, until) >= max(LATE, excess - MARGIN):
             required.undecided += 1
-        elif required.check(excess <= 0, f'{text}: {seconds * 1e3:.1f} ms, at most {limit * 1e3:g} '
-                            f'and at least {least * 1e3:g} ms are allowed'):
+        elif required.check(excess <= 0, f'{text}: {seconds * 1e3:.1f} ms, limit '
+                            f'{(limit if seconds > limit else least) * 1e3:g} ms'):
             required.keep_worst(seconds * 1e3, 'ms')
 
     def wait_for_bridge(self) -> None:
