@@ -26,11 +26,6 @@ _HEARTBEAT = wire.Heartbeat()
 _HEARTBEAT_PACKET = wire.encode(_HEARTBEAT)
 
 
-def _is_speed_0(message: LayoutMessage) -> bool:
-    # Messages are tuples, so every other message of one value that is 0 is equal to SPEED 0.
-    return isinstance(message, wire.SpeedCommand) and not message.value
-
-
 class CarOutput:
     """Takes commands from any thread; each is written to an open port at once, or refused.
 
@@ -82,7 +77,7 @@ class CarOutput:
     def _stop_later(self, message: LayoutMessage) -> None:
         """If this is SPEED 0, which the port does not take: send it as soon as the port does. The
         heartbeat thread may not see that the port was blocked."""
-        if _is_speed_0(message):
+        if wire.is_speed_0(message):
             self.motor.forget_speed()
 
     def _why_not(self, message: LayoutMessage, now: float) -> Tuple[str, str]:
@@ -206,7 +201,7 @@ class CarOutput:
             PortBusy, PortError: the packet was not sent, but SPEED 0 may have been.
             Refused: likewise; the bridge has stalled since `now`, when it was allowed.
         """
-        if self.motor.speed_unknown and not _is_speed_0(message):
+        if self.motor.speed_unknown and not wire.is_speed_0(message):
             self._send(_SPEED_0, now)
         if message is _HEARTBEAT and not (self._link.tap or self._cut_off):
             # A shortcut for the most frequent packet while no `tap` gets it.
@@ -217,7 +212,7 @@ class CarOutput:
         packet = wire.encode_raw(message.TYPE, data)
         # After a packet that was cut off, a 0x00 ends the part that the board has received.
         packet = b'\0' + packet if self._cut_off else packet
-        if clock() > now + STALL and not (message is _HEARTBEAT or _is_speed_0(message)):
+        if clock() > now + STALL and not (message is _HEARTBEAT or wire.is_speed_0(message)):
             raise Refused(f'{message} refused: {_STALLED}', 'stall')
         self._port.write(packet)
         self._cut_off = False

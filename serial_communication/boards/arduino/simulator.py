@@ -157,7 +157,7 @@ class ModelCar(Board):
             return
         message = frame.message
         if self._lose_stops and self.motor_on and not self._lost_stop \
-                and isinstance(message, wire.SpeedCommand) and not message.value:
+                and wire.is_speed_0(message):
             self._lost_stop = True
             self.note('rx-lost', data=wire.encode(message).hex(), why='lose-stops')
             return

@@ -213,6 +213,11 @@ BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, Log, Time, SettingMessage, announceme
 _UNTIMED = frozenset((*Log.TYPES, SettingMessage.TYPE, announcement.TYPE))
 
 
+def is_speed_0(message: Any) -> bool:
+    """Whether it stops the motor. Messages are tuples: another one with the value 0 is equal."""
+    return isinstance(message, SpeedCommand) and not message.value
+
+
 def encode(message: Any) -> bytes:
     """The packet as it is sent, with the 0x00 at its end.
 

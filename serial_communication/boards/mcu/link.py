@@ -65,7 +65,7 @@ class McuLink(Link):
 
     def received(self, frame: Frame, now: float) -> None:
         message = frame.message
-        if self._is_doubled(frame, now):
+        if self._follow_seq(frame, now):
             return
         if isinstance(message, Chunk):
             self.announcement.add(message)
@@ -86,10 +86,11 @@ class McuLink(Link):
         # errors of the read, also those of later frames.
         self.checksum_errors += frame.cause == CHECKSUM
         if frame.cause in (LENGTH, IMPLAUSIBLE):     # its CRC matches, so its SEQ counts
-            self._is_doubled(frame, now)
+            self._follow_seq(frame, now)
 
-    def _is_doubled(self, frame: Frame, now: float) -> bool:
-        """Whether the line has doubled this frame; count that, or the frames lost before it."""
+    def _follow_seq(self, frame: Frame, now: float) -> bool:
+        """Count the frames lost before this one; return whether the line has only doubled it, which
+        is counted instead."""
         last = self._last
         if last is not None and last.raw == frame.raw and now < self._last_at + _DOUBLED:
             self.duplicates += 1
