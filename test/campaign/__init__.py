@@ -5,8 +5,8 @@ Why its results can be trusted:
 The campaign holds the far end of every line itself (lines.py). It reads what the bridge writes with
 decoders that share no code with the bridge (test/helpers/by_definition.py). The boards (boards.py)
 record what they receive, and number what they send. The robot's side (robot.py) is one ROS node in
-the same process, so one clock stamps both ends: the time of the read, or of the write where the
-kernel delays what it moves (writes.py). Only the machine (machine.py) can excuse the bridge. The
+the same process, so one clock stamps both ends: the time of the bridge's write where it is known
+(writes.py), otherwise that of the read. Only the machine (machine.py) can excuse the bridge. The
 requirements, and how often each has to be tried, are in rows.txt.
 
 Before each scenario and each try of the exact part (exact_*.py) `Rig.settle` waits until nothing is

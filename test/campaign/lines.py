@@ -225,9 +225,6 @@ class NetworkLine(SerialLine):
     def write(self, data: bytes) -> bool:
         return not self.frozen and super().write(data)
 
-    def written(self, frames: int, now: float) -> List[float]:
-        return [now] * frames
-
     def shut_down(self) -> None:
         """End the connection as a program does that sends no more, but reads on: no reset."""
         with socket.socket(fileno=os.dup(self._master)) as connection:
@@ -246,7 +243,7 @@ class NetworkLine(SerialLine):
 
     def thaw(self) -> None:
         with self._lock:
-            self.frozen = False
+            super().thaw()
             self._end_if_closed()
 
     def _end_if_closed(self) -> None:
@@ -263,5 +260,6 @@ class NetworkLine(SerialLine):
                 connection.setblocking(False)
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._master = connection.detach()
+                self._writes.watch_connection(self._master)
                 self._end_if_closed()       # while the network was frozen
             super().read_all()

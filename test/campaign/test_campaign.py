@@ -2,6 +2,7 @@
 import os
 import select
 import signal
+import socket
 import struct
 import time
 
@@ -273,6 +274,23 @@ def test_a_write_is_noted_when_it_is_made(tmp_path):
         noted.watch(str(tmp_path))
         time.sleep(0.05)
         assert noted.next() == []       # it is of the device before
+
+
+def test_bytes_are_noted_when_they_arrive_on_a_connection():
+    noted = writes.Writes()
+    near, far = socket.socketpair()
+    other, *_ends = socket.socketpair()
+    noted.watch_connection(near.fileno())
+    times = []
+    for number in range(1, 4):      # nothing is read
+        began = time.monotonic()
+        far.send(b'x')
+        until(lambda: times.extend(noted.next()) or len(times) >= number)
+        assert len(times) == number and began <= times[-1]
+    noted.watch_connection(other.fileno())
+    far.send(b'x')
+    time.sleep(0.05)
+    assert noted.next() == []       # it is of the connection before
 
 
 @pytest.mark.parametrize('found, times, not_arrived', [

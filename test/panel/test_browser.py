@@ -78,7 +78,7 @@ def control_page(chromium, control_panel, network, robot):
     robot.car.forget()
     robot.bus.forget()
     yield chromium
-    chromium.script("document.getElementById('pad').blur()")
+    chromium.script("document.getElementById('pad')?.blur()")     # no pad: the test failed
     assert chromium.errors() == []
 
 
@@ -1243,8 +1243,9 @@ def test_a_click_in_a_window_that_another_site_has_opened_moves_nothing(control_
             x, y = page.script_until_done(_APPEARED, place)
             page.click_at(x, y, times)
             page.wait_for_updates(5)
-            clicks, appeared = page.script('return [clicks, appeared]')
-            if len(clicks) < times or clicks[-1] >= appeared + 900:      # this machine was too slow
+            handled, appeared = page.script('return [handled, appeared]')
+            # This machine was too slow if the page handled a part of a click later.
+            if len(handled) < 2 * times or handled[-1] >= appeared + 950:
                 robot.bus.forget()
                 robot.car.forget()
                 return False
@@ -1262,14 +1263,16 @@ def test_a_click_in_a_window_that_another_site_has_opened_moves_nothing(control_
     page.open(network.url)
 
 
-# Where an element is, 0.6 s after it has appeared with the page. The clicks from now on are noted,
-# and when both have appeared, in ms.
+# Where an element is, 0.4 s after it has appeared with the page. Noted from now on, in ms: when the
+# page has handled each part of a click, and when element and page have appeared.
 _APPEARED = """
     const [selector, done] = arguments;
     const observer = new MutationObserver(look);
-    window.clicks = [];
+    window.handled = [];
     window.appeared = performance.getEntriesByType('navigation')[0].loadEventStart;
-    document.addEventListener('pointerdown', (event) => clicks.push(event.timeStamp), true);
+    for (const part of ['pointerdown', 'pointerup', 'click']) {
+      window.addEventListener(part, () => handled.push(performance.now()));
+    }
     observer.observe(document, {subtree: true, childList: true});
     look([]);
     function look(changes) {
@@ -1280,7 +1283,7 @@ _APPEARED = """
       there.scrollIntoView({block: 'center'});
       const {left, top, width, height} = there.getBoundingClientRect();
       setTimeout(() => done([left + width / 2, top + height / 4]),
-                 window.appeared + 600 - performance.now());
+                 window.appeared + 400 - performance.now());
     }"""
 
 
