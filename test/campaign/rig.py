@@ -69,7 +69,8 @@ class Rig(Stage):
         self._checked_beats = 0
         self.bus.check_fence = lambda fence: self.row(FENCED).check(fence.holds, fence.text)
         for line in lines.values():
-            line.on_moved = self.machine.moved
+            if not isinstance(line, NetworkLine):   # a late read there is no stall of the kernel
+                line.on_moved = self.machine.moved
 
     def start(self, parameters: Dict[str, Any] = {}) -> None:
         """Start a bridge with these parameters besides `PARAMETERS`; wait until it works."""

@@ -1263,7 +1263,7 @@ def test_a_click_in_a_window_that_another_site_has_opened_moves_nothing(control_
     page.open(network.url)
 
 
-# Where an element is, 0.4 s after it has appeared with the page. Noted from now on, in ms: when the
+# Where an element is, 0.6 s after it has appeared with the page. Noted from now on, in ms: when the
 # page has handled each part of a click, and when element and page have appeared.
 _APPEARED = """
     const [selector, done] = arguments;
@@ -1283,7 +1283,7 @@ _APPEARED = """
       there.scrollIntoView({block: 'center'});
       const {left, top, width, height} = there.getBoundingClientRect();
       setTimeout(() => done([left + width / 2, top + height / 4]),
-                 window.appeared + 400 - performance.now());
+                 window.appeared + 600 - performance.now());
     }"""
 
 
