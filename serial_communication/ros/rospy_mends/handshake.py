@@ -8,6 +8,10 @@ after the node ran out of file descriptors.
 Here the accepting thread waits for all connections at the same time. Each has 3 s to send its
 header of up to 64 KB. There is no thread for each connection, since it might not start, and rospy's
 handlers still run in one thread, one after the other, as they require.
+
+rospy lets six connections wait to be accepted. The kernel ignores others, whose callers try again
+after 1, 3 and 7 s. So a call from the time of a stall could arrive long after it, and look new.
+Here as many may wait as the kernel allows.
 """
 import selectors
 import socket
@@ -87,6 +91,7 @@ class _Acceptor:
         """Accept connections until the server is shut down."""
         self._server.is_shutdown = False
         listener = self._server.server_sock
+        listener.listen(socket.SOMAXCONN)
         listener.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ)
         while not self._server.is_shutdown:
