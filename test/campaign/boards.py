@@ -404,6 +404,7 @@ class BusBoard(Board):
         self._before: Optional[Request] = None
         self._has_echoed = False     # on this connection
         self._nonces: Deque[bytes] = deque(maxlen=1000)
+        self._is_new = True          # the latest nonce
         self._echoed: Deque[bytes] = deque(maxlen=100)      # replies to ECHO that were written
 
     @staticmethod
@@ -434,17 +435,18 @@ class BusBoard(Board):
     def _look_for_fence(self, request: Request) -> None:
         before, self._before = self._before, request
         if request.cmd1 == codec.ECHO:
-            if len(request.data) != 4 or request.data in self._nonces:
-                self.check_fence(Fence(
-                    request.t, False, f'the nonce of {request} is not new, or has not 4 bytes'))
+            # That of a caller may come again, and is no fence.
+            self._is_new = len(request.data) == 4 and request.data not in self._nonces
             self._nonces.append(request.data)
             self.lost_echoes += 1
         elif request.cmd1 != codec.SYNC and request.cmd2 != HALT:      # a stop needs no fence
             is_same_poll = before and before.key == request.key and request.cmd2 in POLLS
             is_echoed = before and before.cmd1 == codec.ECHO and before.data in self._echoed
             self.check_fence(Fence(
-                request.t, is_same_poll or is_echoed or self._is_silent(before, request.t),
-                f'{request} came behind {before}'))
+                request.t,
+                is_same_poll or is_echoed and self._is_new or self._is_silent(before, request.t),
+                f'{request} came behind {before}'
+                + ', whose nonce is not new, or has not 4 bytes' * (not self._is_new)))
 
     def _is_silent(self, before: Optional[Request], now: float) -> bool:
         """Whether a silence is the fence: after three lost ECHOs and a SYNC, or of a board that

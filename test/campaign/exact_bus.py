@@ -322,7 +322,7 @@ def queue(rig: Rig) -> None:
 def interrupted(rig: Rig) -> None:
     """A stop, while a motion and calls behind it wait; also behind noise that never ends."""
     at_once = rig.row('a stop is sent within 50 ms, whatever is outstanding')
-    calls = Calls(rig)
+    calls, halt = Calls(rig), rig.robot.connect('halt')
     for noise in rig.tries(False, False, True):
         outstanding, behind = calls.start_unanswered(), calls.start('lift')
         rig.sleep(0.2)      # the call of the lift has arrived, and the motion has not timed out
@@ -330,7 +330,7 @@ def interrupted(rig: Rig) -> None:
             # The board answers ECHO only after the motion.
             rig.bus.probe = lambda request: Reaction([(0.2, OK)])
             began = time.monotonic()
-            stop = rig.robot.start_call('halt')
+            stop = rig.robot.start_call(halt)
             at_once.wait(lambda: rig.bus.count(HALT), 'the stop arrives', 5.0)
             sent = next(each for each in rig.bus.requests if each.cmd2 == HALT)
             rig.in_time(at_once, began, sent.t, 0.05, f'noise: {noise}')

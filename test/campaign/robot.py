@@ -4,7 +4,7 @@ import operator
 import time
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -302,11 +302,20 @@ class Robot:
             for name, type_ in topics:
                 get_registration_listeners().notify_added(name, type_, kind)
 
-    def call(self, service: str, *arguments: Any) -> Outcome:
+    def connect(self, service: str) -> rospy.ServiceProxy:
+        """Call a service once. The master, which may get no processor, has no part in later calls
+        with this proxy."""
+        proxy = rospy.ServiceProxy(f'{NODE}/{service}', SERVICES[service], persistent=True)
+        self.call(proxy)
+        return proxy
+
+    def call(self, service: Union[str, rospy.ServiceProxy], *arguments: Any) -> Outcome:
         """Call a service. A service error is an outcome without success."""
         began = time.monotonic()
         try:
-            response = rospy.ServiceProxy(f'{NODE}/{service}', SERVICES[service])(*arguments)
+            if isinstance(service, str):
+                service = rospy.ServiceProxy(f'{NODE}/{service}', SERVICES[service])
+            response = service(*arguments)
         except (rospy.ServiceException, rospy.ROSException, OSError) as error:
             response = SimpleNamespace(success=False, status=None, message=repr(error))
         reading = getattr(response, 'environment', Environment())
@@ -315,7 +324,8 @@ class Robot:
                        getattr(response, 'error_code', 0),
                        _environment(reading), reading.header, began, time.monotonic())
 
-    def start_call(self, service: str, *arguments: Any) -> Callable[[], Outcome]:
+    def start_call(self, service: Union[str, rospy.ServiceProxy],
+                   *arguments: Any) -> Callable[[], Outcome]:
         """Start a call; return a function that waits for its outcome."""
         future = self._pool.submit(self.call, service, *arguments)
         return lambda: future.result(MAX_WAIT)

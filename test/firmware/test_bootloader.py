@@ -11,10 +11,12 @@ SYNC, IN_SYNC = b'0 ', b'\x14\x10'       # of avrdude, and the bootloader's answ
 
 
 def synchronised(port):
-    """Whether the bootloader answers; a wrong byte is its own after the first."""
+    """Whether the bootloader answers; each half of an answer may arrive alone."""
+    received = b''
     for _ in range(20):
         port.write(SYNC)
-        if IN_SYNC in port.read(2):
+        received += port.read(2)
+        if IN_SYNC in received:
             return True
     return False
 
