@@ -157,7 +157,8 @@ class FromTheCar(unittest.TestCase):
         transforms = Topic('/tf', TFMessage)
         self.addCleanup(transforms.close)
         for x, y, yaw in (1500, -250, 1571), (1000, 0, -3142):      # twice, as it is reused
-            message = self.first('odometry', Odometry, 211, struct.pack('<5h', x, y, yaw, 300, 40),
+            data = struct.pack('<5h', x, y, yaw, 300, 40)
+            message = self.first('odometry', Odometry, 211, data,
                                  lambda m, x=x: m.pose.pose.position.x == x / 1000)
             at, turn = message.pose.pose.position, message.pose.pose.orientation
             self.assertEqual((at.y, at.z), (y / 1000, 0))
@@ -174,7 +175,7 @@ class FromTheCar(unittest.TestCase):
             found = until(lambda x=x: [
                 t for m in list(transforms.messages) for t in m.transforms
                 if t.child_frame_id == 'robot/base' and t.transform.translation.x == x / 1000],
-                'it is on /tf, too')[-1]
+                'it is on /tf, too', doing=lambda data=data: CAR.write(packet(211, data)))[-1]
             self.assertEqual(found.header.frame_id, 'robot/odom')
             self.assertGreater(found.header.stamp, rospy.Time(0))
             self.assertAlmostEqual(found.transform.rotation.z, turn.z, 12)
