@@ -1,5 +1,6 @@
 """What is installed has the pages to which log lines and --help lead, and doc/install.md names the
 packages that scripts/demo installs."""
+import os
 import re
 import subprocess
 
@@ -13,11 +14,13 @@ BUILD = ROOT / 'build'
 @pytest.fixture(scope='module', name='share')
 def fixture_share(tmp_path_factory):
     """The folder of the installed package."""
-    prefix = tmp_path_factory.mktemp('install')
-    done = subprocess.run(['cmake', '--install', str(BUILD), '--prefix', str(prefix)],
+    root = tmp_path_factory.mktemp('install')
+    # Some of catkin's files go to the prefix of the configuration, whatever --prefix says.
+    done = subprocess.run(['cmake', '--install', str(BUILD), '--prefix', '/opt'],
+                          env={**os.environ, 'DESTDIR': str(root)},
                           stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     assert done.returncode == 0, done.stdout
-    return prefix / 'share' / 'serial_communication'
+    return root / 'opt' / 'share' / 'serial_communication'
 
 
 def test_pages_named_in_the_code_are_installed(share):
