@@ -21,7 +21,7 @@ from roscpp.srv import GetLoggers, GetLoggersResponse
 from rospy.impl import registration, tcpros_base
 
 from boards import (PACKAGE, PATIENCE, BoardsTest, CarBoard, Waiter, command_topic, service,
-                    until)
+                    service_address, until)
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.msg import SpeedPWMCommand, Voltage
 from serial_communication.boards.arduino import wire as arduino
@@ -34,12 +34,6 @@ MASTER = rosgraph.Master('/connections_test')
 def connected(address):
     """Connect to a node's ROS port."""
     return socket.create_connection(address, PATIENCE)
-
-
-def service_address(name):
-    """The host and port of a service."""
-    parts = urlsplit(MASTER.lookupService(name))
-    return parts.hostname, parts.port
 
 
 def shake(connection, **fields):

@@ -9,9 +9,7 @@ import socket
 import struct
 import time
 import unittest
-from urllib.parse import urlsplit
 
-import rosgraph
 import rospy
 import rostest
 from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_header
@@ -20,7 +18,7 @@ from std_srvs.srv import Trigger
 
 from boards import (ERROR, NOT_SENT, OK, PACKAGE, PATIENCE, SYNC_FRAME, Bridge, BusBoard,
                     CarBoard, Diagnostics, Line, SensorBoard, Topic, Waiter, level_imu, own_folder,
-                    ranges, service, until)
+                    ranges, service, service_address, until)
 from serial_communication.msg import McuStatus2, SerialMsg, Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
@@ -243,7 +241,7 @@ class Cut(PortsTest):
     def test_however_many_call_while_the_bridge_stands_still_no_call_arrives_after_it(self):
         """The kernel accepts all connections meanwhile, so no caller has to try again later."""
         until(lambda: self.lift(0, 100).success, 'the lift moves')
-        parts = urlsplit(rosgraph.Master('/ports_test').lookupService('/cut/lift'))
+        address = service_address('/cut/lift')
         arguments = io.BytesIO()
         serialize_message(arguments, 0, LiftRequest(0, 100))
         board, process = self.boards['bus'], self.bridge.process
@@ -253,7 +251,7 @@ class Cut(PortsTest):
         os.waitpid(process.pid, os.WUNTRACED)
         stopped, callers = time.monotonic(), []
         for _ in range(10):
-            caller = socket.create_connection((parts.hostname, parts.port), PATIENCE)
+            caller = socket.create_connection(address, PATIENCE)
             self.addCleanup(caller.close)
             caller.sendall(encode_ros_handshake_header({
                 'callerid': '/ports_test', 'md5sum': Lift._md5sum, 'service': '/cut/lift'}))

@@ -23,6 +23,7 @@ def fixture_folder():
         shutil.copy(str(ENVIRONMENT), str(folder / 'scripts'))
         for each in folder, folder / 'temporary':
             each.chmod(0o777)
+        program(folder, 'sudo', '[[ $1 != -n ]] || shift; "$@"')    # the real one has its own PATH
         yield folder
 
 
@@ -71,12 +72,6 @@ APT = r'''echo "$@" >>asked; printf 'Unpacking ros-core (1.0) ...\r\n'
 until [[ -e finish ]]; do sleep 0.1; done; touch finished'''
 
 
-def apt_get(folder, text):
-    """Put an apt-get into the PATH, also for an ordinary user, whose sudo has a PATH of its own."""
-    program(folder, 'apt-get', text)
-    program(folder, 'sudo', '[[ $1 != -n ]] || shift; "$@"')
-
-
 @pytest.fixture(name='terminal')
 def fixture_terminal(folder):
     """A function that runs a text in a terminal."""
@@ -94,7 +89,6 @@ def fixture_terminal(folder):
 @pytest.mark.parametrize('name, step', [
     ('apt-get', 'install a-package'), ('cmake', 'build_inputs() { echo; }; build_if_changed')])
 def test_the_last_line_of_apt_and_of_the_build_stays_on_the_screen(folder, terminal, name, step):
-    apt_get(folder, APT)
     program(folder, name, APT)
     program(folder, 'make', '')
     shown = terminal(f'{step}; echo "the next step"')
@@ -107,7 +101,7 @@ def test_the_last_line_of_apt_and_of_the_build_stays_on_the_screen(folder, termi
 
 
 def test_ctrl_c_during_the_packages_ends_the_program_when_apt_has_finished(folder, terminal):
-    apt_get(folder, APT)
+    program(folder, 'apt-get', APT)
     shown = terminal("trap 'exit 130' INT USR1; install a-package; echo 'the next step'")
     shown.until(lambda: 'Unpacking' in shown.text(), 'apt-get runs')
     shown.press(b'\3')
@@ -140,7 +134,7 @@ def test_a_line_before_the_password_says_what_it_is_for(folder, terminal):
 
 
 def test_the_package_lists_are_fetched_if_a_package_is_not_in_them(folder):
-    apt_get(folder, '''echo "$@" >>asked; [[ $* != *update ]] || touch lists
+    program(folder, 'apt-get', '''echo "$@" >>asked; [[ $* != *update ]] || touch lists
         [[ -e lists ]]''')
     done = run(folder, 'install a-package; echo ready')
     assert done.stdout.splitlines()[-1] == 'ready' and done.stderr == ''
