@@ -4,6 +4,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <poll.h>
 #include <pty.h>
 #include <string.h>
 #include <sys/inotify.h>
@@ -36,7 +37,7 @@ SerialEnd SerialEnd::make_pty(const std::string& link) {
   fcntl(end.fd_, F_SETFL, O_NONBLOCK);
   end.name_ = name;
   end.watch_ = inotify_init1(IN_NONBLOCK | IN_CLOEXEC);
-  inotify_add_watch(end.watch_, name, IN_OPEN | IN_CLOSE);
+  end.watch();
   if (!link.empty()) {
     struct stat status;
     if (lstat(link.c_str(), &status) == 0 && S_ISLNK(status.st_mode)) unlink(link.c_str());
@@ -58,6 +59,7 @@ SerialEnd SerialEnd::use_port(const std::string& path) {
 SerialEnd::SerialEnd(SerialEnd&& other) {
   std::swap(fd_, other.fd_);
   std::swap(watch_, other.watch_);
+  std::swap(watched_, other.watched_);
   std::swap(open_, other.open_);
   std::swap(slave_, other.slave_);
   std::swap(name_, other.name_);
@@ -105,18 +107,34 @@ void SerialEnd::write(const std::string& bytes) {
   }
 }
 
+void SerialEnd::watch() { watched_ = inotify_add_watch(watch_, name_.c_str(), IN_OPEN | IN_CLOSE); }
+
 bool SerialEnd::was_opened() {
   bool opened = false;
+  bool closed = false;
   inotify_event event;  // the pty is no folder: no name follows
   while (watch_ >= 0 && ::read(watch_, &event, sizeof event) == ssize_t(sizeof event)) {
     if (event.mask & IN_OPEN) {
       opened = opened || open_ == 0;
       ++open_;
-    } else if (open_ > 0) {
-      --open_;
+    } else if (event.mask & IN_CLOSE) {
+      closed = true;
+      if (open_ > 0) --open_;
     }
   }
+  // Two programs may have closed it: inotify reports equal events that follow each other as one.
+  if (closed && open_ > 0 && !is_open_elsewhere()) open_ = 0;
   return opened;
+}
+
+bool SerialEnd::is_open_elsewhere() {
+  inotify_rm_watch(watch_, watched_);
+  close(slave_);
+  pollfd master = {fd_, 0, 0};
+  poll(&master, 1, 0);
+  slave_ = open(name_.c_str(), O_RDWR | O_NOCTTY);
+  watch();
+  return (master.revents & POLLHUP) == 0;
 }
 
 unsigned SerialEnd::baud() const {

@@ -40,12 +40,15 @@ class SerialEnd {
  private:
   SerialEnd() {}
   void lost();
+  void watch();
+  bool is_open_elsewhere();
 
   int fd_ = -1;
   unsigned flushes_ = 0;
-  int watch_ = -1;  // inotify: the new pty is opened and closed
-  int open_ = 0;    // how often it is open in other programs
-  int slave_ = -1;  // of the new pty: kept open, so that it stays raw and never hangs up
+  int watch_ = -1;    // inotify: the new pty is opened and closed
+  int watched_ = -1;  // the pty in it
+  int open_ = 0;      // how often it is open in other programs
+  int slave_ = -1;    // of the new pty: kept open, so that it stays raw and never hangs up
   std::string name_;
   std::string link_;
   std::string path_;
