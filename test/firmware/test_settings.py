@@ -14,7 +14,7 @@ from compilers import ON_THE_AVR, PROTOCOL, run
 from emulated_board import FIRMWARE
 from serial_communication.framing.announcement import read_announcement
 from serial_communication.framing.settings import read_settings
-from wheel import STEP, hold, response, rise, set_to, speeds, target
+from wheel import STEP, hold, response, rise, set_to, target
 
 NUMBERS = [1, 2, 3, 4, 5, 200]      # those of library_cases.cpp, in the order of their table
 
@@ -130,7 +130,7 @@ def stops_in_time(car):
     """
     car.board.wait_until(lambda: car.board.get('motor_pwm') == 0, 1)
     before, (when, _) = car.board.history('motor_pwm')[-2:]
-    assert when - car.board.get('last_rx_time') < 0.032
+    assert 0 < when - car.board.get('last_rx_time') < 0.032
     return before[1]
 
 
@@ -158,7 +158,6 @@ def test_after_a_packet_that_was_cut_anywhere_the_next_setting_is_used(firmware_
         for end in range(1, len(wanted)):
             car.port.write(wanted[:end] + packet(HEARTBEAT))
             hold(car, wanted, 0.5)
-            assert speeds(car)[-1] > 0
             assert stops_in_time(car) > 0
 
 
