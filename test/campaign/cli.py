@@ -19,7 +19,7 @@ from .storm import Storm
 
 _LOG_LINES = Path(__file__).with_name('log_lines.txt')
 _ROUND = 3600.0              # s of the statistical part between two exact parts
-_TRIES = 4                   # of a scenario that the machine spoils
+_TRIES = 8                   # of a scenario that the machine spoils
 _PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
 _SWITCH_INTERVAL = 5e-4      # s, of Python's threads
 

@@ -250,13 +250,15 @@ class Rig(Stage):
 
     def compare(self, *boards: Board) -> None:
         """Compare what these boards sent since `settle` with what was published, and its stamps."""
+        sent = {topic: [each for board in boards for each in board.sent if each.topic == topic]
+                for topic in TOPICS}
+        with contextlib.suppress(StageError):
+            self.wait(lambda: all(len(self.robot.values(topic)) >= len(sent[topic])
+                                  for topic in TOPICS), '', UNTIL_PUBLISHED)
         for topic in TOPICS:
-            self._compare(topic, [each for board in boards for each in board.sent
-                                  if each.topic == topic])
+            self._compare(topic, sent[topic])
 
     def _compare(self, topic: str, sent: Sequence[Sent]) -> None:
-        with contextlib.suppress(StageError):
-            self.wait(lambda: len(self.robot.values(topic)) >= len(sent), '', UNTIL_PUBLISHED)
         required = self.row(PUBLISHED)
         for one, message in itertools.zip_longest(sent, self.robot.values(topic)):
             if not required.check(one and message and one.key == message.key,

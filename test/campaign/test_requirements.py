@@ -77,8 +77,8 @@ def test_results_of_a_try_that_the_machine_spoiled_are_taken_back(table, row):
 
 
 @pytest.mark.parametrize('stalls, results, tries, violations, undecided', [
-    (False, 'V', 1, 1, 0), (True, 'VVO', 3, 0, 0), (True, 'VVVV', 4, 1, 0), (True, 'O', 1, 0, 0),
-    (False, 'UUO', 3, 0, 0), (False, 'UUUU', 4, 0, 1), (False, 'UV', 2, 1, 0)])
+    (False, 'V', 1, 1, 0), (True, 'VVO', 3, 0, 0), (True, 8 * 'V', 8, 1, 0), (True, 'O', 1, 0, 0),
+    (False, 'UUO', 3, 0, 0), (False, 8 * 'U', 8, 0, 1), (False, 'UV', 2, 1, 0)])
 def test_a_scenario_that_the_machine_spoiled_is_tried_again(stalls, results, tries, violations,
                                                             undecided):
     """Each try fulfils (O) or violates (V) a requirement, or does not decide it (U)."""
