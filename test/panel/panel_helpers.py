@@ -350,7 +350,8 @@ class Page:
         self.until(lambda page: key in page.refusals or page.calls.get(key, {}).get('outcome'),
                    'the answer')
         words = self.refusals.get(key) or self.calls[key]['words']
-        if re.search('press again|call again|one call at a time|while the bridge stalled', words):
+        if re.search('press again|call again|one call at a time|while the bridge stalled|'
+                     'the board does not answer ECHO; nothing was sent', words):
             time.sleep(0.6)       # or the next one may be a double click
             return None
         assert key in self.calls, words
