@@ -292,7 +292,9 @@ def test_a_board_that_never_answers_the_question_is_asked_six_times(
     until(lambda: lines('does not answer the question for its announcement'))
     seen = len(bus_board.executed)
     until(lambda: len(bus_board.executed) > seen + 3)
-    assert link.texts == [] and len(bus_board.questions()) == 6
+    # A stall of this machine may end the session; the next one, after SYNC, asks anew.
+    sessions = len(bus_board.requests(bus.SYNC))
+    assert link.texts == [] and 6 <= len(bus_board.questions()) <= 6 * sessions
 
 
 class Questions:

@@ -16,7 +16,7 @@ import by_definition as codec
 from processes import StageError
 from .boards import CUSTOM, POLLED, Reaction
 from .exact_car import TYPES, Drive, check_first
-from .exact_data import measurements
+from .exact_data import at_rest, measurements
 from .rig import LATCHED, Rig
 from .robot import NODE
 
@@ -52,6 +52,7 @@ def suspended_subscriber(rig: Rig) -> None:
     """SIGSTOP of a subscriber of all topics."""
     child = rig.user('subscriber', 'suspended_subscriber', *rig.robot.topics)
     child.hold()
+    at_rest(rig)
     measurements(rig)
     rig.end(child)
 

@@ -30,6 +30,7 @@ class Board:
 
     def __init__(self, line, decoder):
         self.line = Tty(line) if isinstance(line, str) else line
+        self._recording = threading.Lock()
         self.forget()
         self._decoder = decoder
         self._last_byte = 0.0
@@ -57,7 +58,8 @@ class Board:
 
         The frames are stamped with time.monotonic().
         """
-        self.wire, self.frames, self.bad = bytearray(), [], []
+        with self._recording:
+            self.wire, self.frames, self.bad = bytearray(), [], []
 
     def take(self, frame):
         """A valid frame was received; for subclasses."""
@@ -103,17 +105,19 @@ class Board:
         data = self.line.read(self.POLL)
         now = time.monotonic()
         frames = []
+        with self._recording:       # all of one read is recorded, or forgotten
+            wire, valid, bad = self.wire, self.frames, self.bad
         if data:
             self._last_byte = now
-            self.wire.extend(data)
+            wire.extend(data)
             frames = self._decoder.feed(data, now)
         elif now > self._last_byte + _GIVE_UP:
             frames = self._decoder.give_up()
         for frame in frames:
             if frame.cause:
-                self.bad.append(frame)
+                bad.append(frame)
             else:
-                self.frames.append(frame)
+                valid.append(frame)
                 self.take(frame)
 
 
