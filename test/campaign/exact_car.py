@@ -176,17 +176,18 @@ def old_stamps(rig: Rig) -> None:
 def latched(rig: Rig) -> None:
     """A latching publisher connects, ends, and another one connects under its name."""
     required = rig.row(LATCHED)
+    name = f'latching_{time.monotonic_ns()}'    # one that the bridge does not know from another try
     for first, second, accepted in rig.tries((101, 102, True), (201, 202, False), (0, 302, True)):
         since = len(rig.car.packets)
-        child = rig.user('latching', 'latching', first, second)
+        child = rig.user('latching', name, first, second)
         child.order('next')     # on the same connection
-        for name, type_ in TYPES.items():
-            required.wait(lambda: rig.car.packet(type_, second, since), f'the second {name}')
+        for topic, type_ in TYPES.items():
+            required.wait(lambda: rig.car.packet(type_, second, since), f'the second {topic}')
             arrived = rig.car.commands(type_, since)
             times = arrived[:arrived.index(second)].count(first)
-            if first or name == 'speed':        # a latched SPEED 0 is accepted, others are not
-                required.check(bool(times) == accepted, f'{name} {first} arrived {times} times')
-            Drive(rig).command(name, 900)       # from another publisher, with an older connection
+            if first or topic == 'speed':       # a latched SPEED 0 is accepted, others are not
+                required.check(bool(times) == accepted, f'{topic} {first} arrived {times} times')
+            Drive(rig).command(topic, 900)      # from another publisher, with an older connection
         rig.end(child)
 
 

@@ -233,8 +233,11 @@ def frozen_bus(rig: Rig) -> None:
     calls = Calls(rig)
     for _ in rig.tries(*range(2)):
         def probe(request: Request) -> Reaction:
+            if not rig.is_network:
+                rig.bus_line.hang()     # before the reply, which lets the bridge send the move
             rig.bus.write(rig.bus.ok_reply(request))
-            rig.bus_line.hang()
+            if rig.is_network:
+                rig.bus_line.hang()     # nothing passes any more, not even the reply
             return Reaction()
         rig.bus.probe = probe
         call = calls.start('lift')

@@ -20,7 +20,8 @@ class Machine:
 
     def __init__(self) -> None:
         # As this process, none has real-time priority if the system does not allow it.
-        priority = _BRIDGE_PRIORITY if os.sched_getscheduler(0) == os.SCHED_FIFO else 0
+        self.real_time = os.sched_getscheduler(0) == os.SCHED_FIFO
+        priority = _BRIDGE_PRIORITY if self.real_time else 0
         self._witnesses = [Witness(priority, processor, period=_PERIOD)
                            for processor in os.sched_getaffinity(0)]
         self._held: Deque[Tuple[float, float]] = deque(maxlen=1000)
