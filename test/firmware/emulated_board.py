@@ -159,3 +159,8 @@ class EmulatedBoard:
                     return
                 raise AssertionError('not within %g emulated seconds' % seconds)
             time.sleep(0.001)
+
+    def run_for(self, seconds):
+        """Waits for so many emulated seconds."""
+        end = self.time + seconds
+        self.wait_until(lambda: self.time > end, 2 * seconds + 1)

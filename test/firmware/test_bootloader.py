@@ -22,12 +22,6 @@ def synchronised(port):
     return False
 
 
-def wait(board, seconds):
-    """Until the board's clock has gone on by so much."""
-    passed = board.time + seconds
-    board.wait_until(lambda: board.time > passed, 5)
-
-
 def test_each_opening_starts_the_bootloader_and_then_the_program(firmware_build):
     with EmulatedBoard(firmware_build, 'car', image='Hello.elf', bootloader=BOOTLOADER) as board:
         for _ in range(2):
@@ -36,7 +30,7 @@ def test_each_opening_starts_the_bootloader_and_then_the_program(firmware_build)
                 port.baudrate = 115200
                 sent = board.get('tx_bytes')
                 board.wait_until(lambda sent=sent: board.get('tx_bytes') > sent + 200, 10)
-            wait(board, 2.0)
+            board.run_for(2.0)
             sent = board.get('tx_bytes')
             board.wait_until(lambda sent=sent: board.get('tx_bytes') > sent, 5)
 
@@ -49,7 +43,7 @@ def test_what_looks_at_an_open_port_does_not_reset_the_board(firmware_build):
             port.write(SYNC)
             for _ in range(5):      # the bootloader would take a second
                 sent = board.get('tx_bytes')
-                wait(board, 0.2)
+                board.run_for(0.2)
                 assert board.get('tx_bytes') > sent
 
 
@@ -57,12 +51,12 @@ def test_a_port_that_two_programs_close_at_once_starts_the_bootloader_when_it_is
         firmware_build):
     with EmulatedBoard(firmware_build, 'car', image='Hello.elf', bootloader=BOOTLOADER) as board:
         with serial.Serial(board.port, 57600):
-            wait(board, 0.1)
+            board.run_for(0.1)
             with serial.Serial(board.port, 57600):
-                wait(board, 0.1)
+                board.run_for(0.1)
                 board.process.send_signal(signal.SIGSTOP)   # as on a busy machine
         board.process.send_signal(signal.SIGCONT)
-        wait(board, 1.5)                                    # the bootloader has ended
+        board.run_for(1.5)                              # the bootloader has ended
         with serial.Serial(board.port, 57600, timeout=0.2) as port:
             assert synchronised(port)
 
