@@ -81,7 +81,13 @@ set_up() {
     # Logs stay with the build: the home folder may be missing or not writable.
     export ROS_HOME=$build/ros ROS_LOG_DIR=$build/ros/log
     mkdir -p "$ROS_LOG_DIR"
-    find "$ROS_LOG_DIR" -mindepth 1 -mtime +7 -delete
+    delete_old_logs
+}
+
+# A folder may be older than the files in it, and another program may delete the same files.
+delete_old_logs() {
+    find "$ROS_LOG_DIR" -ignore_readdir_race -mindepth 1 -mtime +7 \( ! -type d -o -empty \) -delete ||
+        true
 }
 
 # Remove the settings of another ROS or Python in the caller's shell, which would mix with this one.

@@ -4,7 +4,6 @@
 #include <poll.h>
 #include <signal.h>
 #include <string.h>
-#include <sys/resource.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -352,8 +351,6 @@ int main(int argc, char** argv) {
   action.sa_handler = request_stop;
   sigaction(SIGTERM, &action, nullptr);
   sigaction(SIGINT, &action, nullptr);
-  // If permitted: a board that mostly sleeps has to wake in time on a busy computer.
-  setpriority(PRIO_PROCESS, 0, -10);
   try {
     Board board(parse(argc, argv));
     return board.run();

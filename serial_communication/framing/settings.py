@@ -115,7 +115,7 @@ def read_settings(entries: Any, key: str) -> List[Setting]:
             value = value._replace(minimum=low, maximum=high)
         settings.append(Setting(name, row.key, number,
                                 Layout('<B' + code, [Value('number'), value]), minimum, maximum,
-                                row.text('description', None, 'text', '')))
+                                ' '.join(row.text('description', None, 'text', '').split())))
     return settings
 
 

@@ -82,10 +82,6 @@ class Connection:
 
     # -- for the link, in the thread --------------------------------------------------
 
-    def silent_for(self, now: float) -> float:
-        """s since the latest byte; 0.0 if none was received since the port was opened."""
-        return now - self.last_byte_at if self.last_byte_at > self.opened_at else 0.0
-
     def guarded(self, function: Callable, *arguments: Any) -> Any:
         """Call a function. If it raises, log and report that, and return None."""
         try:

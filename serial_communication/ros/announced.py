@@ -5,7 +5,6 @@ LatestWorker for all links, since rospy and the master may take any time.
 """
 import time
 from contextlib import suppress
-from functools import partial
 from typing import Any, Callable, Dict, Iterable, NamedTuple
 
 import rospy
@@ -57,10 +56,12 @@ class AnnouncedRows:
         self._resolve = resolve
         self._add = add
         self._made: Dict[str, _Made] = {}     # by name
+        self._lacks_name = False     # a row is left out, since another board's has its name
+        self._use_latest: Callable[[], None] = lambda: None
         self._allowance = Allowance(*_LINES)
 
     def serve(self, worker: LatestWorker, names: Dict[str, str], parameters: Dict[str, Any],
-              log: SparingLog) -> None:
+              log: SparingLog, boards: Iterable['AnnouncedRows']) -> None:
         """Use each new announcement of the link, in the worker's thread.
 
         Args:
@@ -68,11 +69,31 @@ class AnnouncedRows:
             parameters: the node's private parameters, which are set at a new master: the announced
                 rows are kept there, too.
             log: for what does not concern the link.
+            boards: all of them. One whose row was left out gets it as soon as the name is free.
         """
-        def use(text: bytes) -> None:
-            self._set_parameter(self.update(text, names), parameters, log)
+        def set_parameter() -> None:
+            try:
+                rospy.set_param(f'~{self.link.name}/{ANNOUNCED}',
+                                parameters[self.link.name][ANNOUNCED])
+            except Exception as error:  # pylint: disable=broad-except
+                # rospy passes on what its master, or another server at its address, answers.
+                if not rospy.is_shutdown():
+                    log.warn('parameter', f'the parameter ~{self.link.name}/{ANNOUNCED} cannot be '
+                             f'set now ({error}); trying again')
+                    worker.submit(set_parameter)
 
-        self.link.announcement.on_text = partial(worker.submit, use)
+        def use_latest() -> None:
+            before = set(names)
+            rows = for_xml_rpc(self.update(self.link.announcement.assembly.text or b'', names))
+            parameters[self.link.name] = {**parameters.get(self.link.name, {}), ANNOUNCED: rows}
+            set_parameter()
+            if before - set(names):
+                for board in boards:
+                    if board._lacks_name:
+                        worker.submit(board._use_latest)
+
+        self._use_latest = use_latest
+        self.link.announcement.on_text = lambda text: worker.submit(use_latest)
 
     def update(self, text: bytes, names: Dict[str, str]) -> Dict[str, Any]:
         """Make and take down what changed; return the rows that are in use now, by name.
@@ -82,6 +103,7 @@ class AnnouncedRows:
             names: of topics and services of custom rows, with their parameters; for all links.
         """
         announcement = read_announcement(text)
+        self._lacks_name = False
         for problem in announcement.problems:
             self._warn(problem)
         rows = self._accepted(announcement.rows, names)
@@ -132,6 +154,7 @@ class AnnouncedRows:
                                f'is already the {key} of {other.name}')
         user = names.get(self._name(custom), custom.key)
         if user != custom.key:
+            self._lacks_name = True
             raise RowError(custom.key, custom.name, f'has the name of {user}')
 
     def _make(self, row: Any, given: Dict[str, Any], names: Dict[str, str]) -> None:
@@ -153,18 +176,6 @@ class AnnouncedRows:
         """Return the name of a row's topic, service or parameter."""
         is_setting = isinstance(custom, Setting)
         return (self._settings_prefix if is_setting else self._custom.prefix) + custom.name
-
-    def _set_parameter(self, rows: Dict[str, Any], parameters: Dict[str, Any],
-                       log: SparingLog) -> None:
-        board, rows = self.link.name, for_xml_rpc(rows)
-        parameters[board] = {**parameters.get(board, {}), ANNOUNCED: rows}
-        name = f'~{board}/{ANNOUNCED}'
-        try:
-            rospy.set_param(name, rows)
-        except Exception as error:  # pylint: disable=broad-except
-            # rospy passes on what its master, or another server at its address, answers.
-            log.warn('parameter', f'the parameter {rospy.resolve_name(name)} cannot be set now '
-                     f'({error}); a new roscore gets it')
 
     def _warn(self, text: str) -> None:
         if self._allowance.take(time.monotonic()) and not rospy.is_shutdown():

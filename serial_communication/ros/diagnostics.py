@@ -9,6 +9,7 @@ from diagnostic_updater import Updater
 
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
+from ..transport.pace import Every
 
 _PERIOD = 1.0   # s
 
@@ -39,9 +40,10 @@ class Diagnostics:
         self._stopping.set()
 
     def _run(self) -> None:
-        due = time.monotonic()
-        while not self._stopping.wait(max(0.0, due - time.monotonic())):
-            due = max(due + _PERIOD, time.monotonic())
+        pace = Every(_PERIOD, time.monotonic() - _PERIOD)       # the first one at once
+        while not self._stopping.wait(max(0.0, pace.due - time.monotonic())):
+            if not pace.passed(time.monotonic()):
+                continue
             for updater in self._updaters:
                 try:
                     # update() would count in ROS time, which may stop.

@@ -23,8 +23,9 @@ class LastResort:
         threading.Thread(target=self._run, name='last resort', daemon=True).start()
 
     def begin(self, status: int = 0) -> None:
-        """Start the countdown; the process will end with this status."""
-        self._status = status
+        """Start the countdown; the process will end with this status, or that of an earlier call
+        if it is not 0."""
+        self._status = self._status or status
         self._begun.set()
 
     def _run(self) -> None:

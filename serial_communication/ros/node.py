@@ -1,4 +1,5 @@
 """The node: checks the parameters, connects the links with ROS, and stops them in order."""
+import gc
 import logging
 import os
 import signal
@@ -14,6 +15,7 @@ from std_srvs.srv import Trigger, TriggerResponse
 from serial_communication.srv import Release, ReleaseResponse
 
 from ..boards import BOARDS, description, reason
+from ..framing.layout import readable
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..link.unknown_bytes import OtherBoard
@@ -26,7 +28,7 @@ from .geometry import publish_mounts
 from .interface import Interface, LinkOptions
 from .last_resort import LastResort
 from .latest_worker import LatestWorker
-from .master import full_name
+from .master import full_name, started_by_roslaunch
 from .parameter import ParameterError
 from .rospy_mends import (background_logging, direct, handshake, log_file, master_calls, own_names,
                           shortage)
@@ -60,6 +62,8 @@ def main() -> None:
     try:
         status = _run(start, last_resort)
     finally:
+        if status:      # rospy's own shutdown begins it with 0
+            last_resort.begin(status)
         written = background_logging.finish()
         start.restart_if_displaced()
         if not written:
@@ -79,6 +83,13 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
     watch = MasterWatch(full_name(_NAME), _LOGGER)
     if start.stopping.is_set():
         return 0
+    mistake = _mistake_of_command_line()
+    if mistake:
+        start.registered()
+        starting.say(mistake)
+        if started_by_roslaunch():      # which would start it again, with the same mistake
+            start.stopping.wait()
+        return 1
     # From now on a signal ends the process, even if the import of a board or the master hangs
     # before there is a bridge to stop.
     rospy.on_shutdown(last_resort.begin)
@@ -105,6 +116,9 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         bridge = Bridge(values, given)
         rospy.on_shutdown(bridge.stop)
         if not is_shutdown_requested():      # otherwise nothing may call `stop` later
+            # A full garbage collection looks at all that is imported. It takes 24 ms, or more on a
+            # slow computer, and holds Python's lock meanwhile, so no heartbeat is sent.
+            gc.freeze()
             bridge.start()
             watch.start(given)
     except rospy.ROSInterruptException:
@@ -117,6 +131,16 @@ def _run(start: starting.Start, last_resort: LastResort) -> int:
         return 1
     rospy.spin()
     return 0
+
+
+def _mistake_of_command_line() -> str:
+    """Return what is wrong with a parameter of the command line that no master would take."""
+    try:
+        given = master_calls.parameters_of(sys.argv, _LOGGER.warning)
+        parameters.check_command_line(given, full_name(_NAME))
+    except (ParameterError, rospy.ROSInitException) as error:
+        return readable(' '.join(str(error).split()))
+    return ''
 
 
 def _given() -> Any:
@@ -209,9 +233,9 @@ class Bridge:
                                            partial(log_fault, log))
         custom_names = {name: key for board in p['boards']
                         for name, key in board.custom_names(parameters.of_board(board, p))}
-        for interface in self._interfaces:
-            if interface.announced:
-                interface.announced.serve(self._announcements, custom_names, given, log)
+        announced = [each.announced for each in self._interfaces if each.announced]
+        for rows in announced:
+            rows.serve(self._announcements, custom_names, given, log, announced)
         self._settings_worker = LatestWorker('settings', SETTINGS_PAUSE, partial(log_fault, log))
         serve_settings(self._links, given, self._settings_worker, SparingLog('settings', _LOGGER))
 

@@ -3,6 +3,7 @@
 config/bridge.yaml documents them for users; a test compares the two.
 """
 import difflib
+import xmlrpc.client
 from typing import Any, Dict, List, Tuple, Type
 
 import rospy
@@ -76,6 +77,19 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
     _check_together(interfaces, values, namespace)
     return values, [_unknown(namespace, name, flat[name], parameters)
                     for name in sorted(flat)]
+
+
+def check_command_line(given: Dict[str, Any], namespace: str) -> None:
+    """Raise ParameterError for a value that cannot be set on the parameter server, such as null."""
+    for name, value in _flatten(given, BOARDS, namespace).items():
+        try:
+            xmlrpc.client.dumps((value,))
+        except Exception as error:  # pylint: disable=broad-except
+            if name in PARAMETERS:
+                _value(name, PARAMETERS[name], value, namespace)    # says what it may be
+            raise ParameterError(f'parameter {namespace}/{name} is {brief(value, 120)} '
+                                 f'({type(value).__name__}), which ROS cannot hold: {error}'
+                                 ) from None
 
 
 def announcing(interfaces: List[Type[Interface]]) -> List[Type[Interface]]:

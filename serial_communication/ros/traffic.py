@@ -2,7 +2,7 @@
 import logging
 import queue
 import threading
-from typing import Callable, Iterable, Tuple
+from typing import Any, Callable, Iterable, Tuple
 
 import rospy
 
@@ -31,23 +31,32 @@ class Traffic(rospy.SubscribeListener):
         # put() never blocks.
         self._queue: 'queue.SimpleQueue[Tuple[str, int, Frame, int]]' = queue.SimpleQueue()
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
+        self._topic: Any = None      # rospy may call the listener before it has returned this
         self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
         self._update()     # rospy adds the listener after others may have subscribed
 
     def peer_subscribe(self, topic_name: str, topic_publish: Callable,
                        peer_publish: Callable) -> None:
         """Pass on the frames of all links; called by rospy."""
-        self._update(True)
+        self._update()
 
     def peer_unsubscribe(self, topic_name: str, num_peers: int) -> None:
         """Stop that if there is no subscriber left; called by rospy."""
         self._update()
 
-    def _update(self, is_wanted: bool = False) -> None:
-        with self._lock:     # num_peers is counted before others may have subscribed
-            tap = self._enqueue if is_wanted or wanted(self._topic) else None
-            for link in self._links.values():
-                link.tap = tap
+    def _update(self) -> None:
+        is_wanted = self._is_wanted()    # num_peers is counted before others may have subscribed
+        while True:
+            with self._lock:
+                for link in self._links.values():
+                    link.tap = self._enqueue if is_wanted else None
+            # Not with the lock: this takes one of rospy, with which another thread may come here.
+            before, is_wanted = is_wanted, self._is_wanted()
+            if is_wanted == before:
+                return
+
+    def _is_wanted(self) -> bool:
+        return self._topic is not None and wanted(self._topic)
 
     def _enqueue(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:

@@ -258,7 +258,11 @@ class OpenRfc2217(OpenSocket):
     read = OpenPort.read
 
     def _end(self) -> None:
-        """Leave the socket to pyserial, which has a thread for it."""
+        super()._end()
+        pyserials = vars(self._serial)      # else it would wait for its thread, and then sleep
+        reader, pyserials['_thread'] = pyserials['_thread'], None
+        if reader:
+            reader.join(_SLICE)     # the closed socket ends it
 
     def escaped(self, frame: bytes) -> bytes:
         return frame.replace(_IAC, _IAC * 2)

@@ -131,6 +131,7 @@ def test_no_thread_can_send_an_announced_command_to_a_port_that_was_just_opened(
     until(lambda: car.texts)
     car.announcement.use(TEXT, '', [])
     car.command(Force(1))
+    until(lambda: board.messages(Force) == [Force(1)])      # an unplugged line loses it
     tried = []
     really_open = car.port.open
 
@@ -189,7 +190,7 @@ def test_the_silence_of_classes_that_were_replaced_is_not_kept(line, logger, run
         line.write(mcu.encode(kind(*range(6)), seq))
         until(lambda seq=seq: link.frames_received == seq + 1)
         link.decoder.remove_message(kind)
-    assert len(link._latest) == 1
+    assert set(link._latest) == {None, 0x70}
 
 
 def test_the_sensor_board_gets_no_byte(line, logger, running):
@@ -231,7 +232,8 @@ def bus_board(line, running):
 
 @pytest.fixture
 def bus_link(line, logger, running, bus_board):
-    def start(announcements=True, reply_timeout=0.2, **settings):
+    # No question is repeated since this machine is slow, unless a test waits for that.
+    def start(announcements=True, reply_timeout=5.0, **settings):
         link = BusLink(Port(line.path), BusSettings(
             reply_timeout=reply_timeout, environment_period=0.05, announcements=announcements,
             **settings), logger=logger)
@@ -250,7 +252,7 @@ def test_a_bus_board_is_asked_only_if_the_parameter_says_so(bus_board, bus_link)
 
 def test_a_bus_board_is_asked_for_each_chunk_once_a_connection_after_sync(bus_board, bus_link):
     bus_board.chunks = chunks_of(TEXT, 20)
-    link = bus_link(reply_timeout=5.0)      # no question is repeated since this machine is slow
+    link = bus_link()
     until(lambda: link.texts)
     environment = bus_board.executed.count(bus.ENVIRONMENT_REQUEST)
     until(lambda: bus_board.executed.count(bus.ENVIRONMENT_REQUEST) > environment + 3)
@@ -288,7 +290,7 @@ def short_pauses(monkeypatch):
 def test_a_board_that_never_answers_the_question_is_asked_six_times(
         bus_board, bus_link, short_pauses, lines):
     bus_board.rule = lambda request: b'' if request[:2] == ASKED else None
-    link = bus_link(retries=0)
+    link = bus_link(reply_timeout=0.2, retries=0)
     until(lambda: lines('does not answer the question for its announcement'))
     seen = len(bus_board.executed)
     until(lambda: len(bus_board.executed) > seen + 3)

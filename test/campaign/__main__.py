@@ -2,8 +2,8 @@
 
 The exact part has one fault at a time on quiet lines, so every comparison is exact. Then the
 statistical part has all faults at once, and damage on every line, for --duration or --hours. Every
-half hour the exact part is repeated. After Ctrl-C it prints the table of the results so far. The
-exit status is 0 only if no requirement was violated, and each was tried as often as it has to be.
+hour the exact part is repeated. After Ctrl-C it prints the table of the results so far. The exit
+status is 0 only if no requirement was violated, and each was tried as often as it has to be.
 
 soak --broken [NAME...] runs it on the broken bridges of test/campaign/broken instead.
 """
@@ -27,6 +27,7 @@ parser.add_argument('--keep', default='', metavar='DIR',
 parser.add_argument('--part', default='all', metavar='NAME',
                     help='run only this part (exact or storm), or only the scenarios of the exact '
                          'part with NAME in their name (exact_car, openings)')
+parser.add_argument('--share', type=int, help=argparse.SUPPRESS)    # of the exact part
 parser.add_argument('--until', default='', metavar='REQUIREMENT',
                     help='end when this requirement is violated')
 parser.add_argument('--bridge', default='', metavar='COMMAND',

@@ -14,16 +14,18 @@ _SILENT = 1.0            # arduino/network_silence: then the bridge drops the ou
 _DROPS = 0.5             # s in which it notices that the car talks again
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
 # Custom messages of the car: a number, bytes and a sign of life that it sends, two commands, a row
-# with all keys, and one with the board's time.
-COUNTER, BLOB, ALIVE, HEATER, WINCH, FIELD, TIMED = range(60, 67)
-HEATER_SCALE, HEATER_OFFSET = 0.5, -20
-MISSING = -0x8000         # no value of y in FIELD
+# with all keys, one with the board's time, an array with a missing value, and an odometry.
+COUNTER, BLOB, ALIVE, HEATER, WINCH, FIELD, TIMED, SCAN, PLACE = range(60, 69)
+HEATER_SCALE, HEATER_OFFSET = 0.01, -20
+MISSING = -0x8000         # no value, in FIELD and SCAN
 CLIFF = 0x20             # a custom message of the sensor board
 # Custom functions of the bus board.
-PRESS, PROBE, HALT, PUMP, DEPTH, HEIGHT = 0x60, 0x61, 0x62, 0x63, 0x70, 0x71
+PRESS, PROBE, HALT, PUMP, TICK, QUICK, DEPTH, HEIGHT = *range(0x60, 0x66), 0x70, 0x71
 PRESS_TIMEOUT = 0.45     # s, of PRESS: neither of the two of rig.py
+QUICK_TIMEOUT = 0.05     # s, less than both
 MEMORY = 0xF0            # a function of the bus board that only raw requests use
-POLLS = codec.ENVIRONMENT, DEPTH, HEIGHT
+PERIODS = {codec.ENVIRONMENT: 0.1, DEPTH: 0.1, HEIGHT: 0.05}     # s, of the polls
+POLLS = tuple(PERIODS)
 ANNOUNCE = 0xFF          # the function that returns a chunk of its announcement
 _NUMBER = {'ros_type': 'std_msgs/UInt32', 'layout': '<I', 'fields': ['data']}
 _TRIGGER = {'srv_type': 'std_srvs/Trigger', 'timeout': 0.3, 'repeatable': True}
@@ -31,11 +33,11 @@ CUSTOM: Dict[str, Dict[str, Any]] = {    # parameters of the bridge that define 
     'arduino/messages': {
         'counter': {'type': COUNTER, **_NUMBER},
         'blob': {'type': BLOB, 'ros_type': 'std_msgs/UInt8MultiArray', 'layout': '<B*',
-                 'fields': ['data']},
+                 'fields': ['data'], 'minimum': 1},
         'alive': {'type': ALIVE, 'ros_type': 'std_msgs/Empty', 'layout': '<', 'fields': []},
         'heater': {'type': HEATER, 'direction': 'to_board', 'ros_type': 'sensor_msgs/Temperature',
                    'layout': '>H', 'fields': ['temperature'], 'scale': HEATER_SCALE,
-                   'offset': HEATER_OFFSET, 'maximum': 20000},
+                   'offset': HEATER_OFFSET, 'maximum': 400},
         'winch': {'type': WINCH, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt16',
                   'layout': '>H', 'fields': ['data']},
         'field': {'type': FIELD, 'ros_type': 'sensor_msgs/MagneticField', 'layout': '<3h',
@@ -43,17 +45,25 @@ CUSTOM: Dict[str, Dict[str, Any]] = {    # parameters of the bridge that define 
                   'offset': [10, 0, 0], 'invalid': ['', MISSING, ''], 'frame_id': 'magnet',
                   'constants': {'magnetic_field_covariance': [1.0, 2.0, 3.0]}},
         'timed': {'type': TIMED, 'ros_type': 'sensor_msgs/Temperature', 'layout': '<IB',
-                  'fields': ['@time', 'temperature']}},
-    'mcu/messages': {'cliff': {'type': CLIFF, **_NUMBER}},
+                  'fields': ['@time', 'temperature']},
+        'scan': {'type': SCAN, 'ros_type': 'std_msgs/Float32MultiArray', 'layout': '>h*',
+                 'fields': ['data'], 'scale': 0.5, 'invalid': MISSING},
+        'place': {'type': PLACE, 'ros_type': 'nav_msgs/Odometry', 'layout': '<3h',
+                  'fields': [*(f'pose.pose.position.{axis}' for axis in 'xy'),
+                             'pose.pose.orientation.yaw'], 'scale': [0.001, 0.001, 0.0001],
+                  'frame_id': 'odom', 'child_frame_id': 'place'}},
+    'mcu/messages': {'cliff': {'type': CLIFF, **_NUMBER, 'maximum': 2 ** 31 - 1}},
     'bus/functions': {
         'press': {'cmd2': PRESS, 'srv_type': 'serial_communication/Lift', 'timeout': PRESS_TIMEOUT,
                   'request': {'layout': '<2B', 'fields': ['direction', 'distance']}},
         'probe': {'cmd2': PROBE, **_TRIGGER},
+        'quick': {'cmd2': QUICK, 'srv_type': 'std_srvs/Trigger', 'timeout': QUICK_TIMEOUT},
         'halt': {'cmd2': HALT, 'interrupts': True, **_TRIGGER}}}
-POLLED = {name: {'cmd2': cmd2, 'ros_type': 'std_msgs/UInt32', 'period': 0.1,
+POLLED = {name: {'cmd2': cmd2, 'ros_type': 'std_msgs/UInt32', 'period': PERIODS[cmd2],
                  'reply': {'layout': '<I', 'fields': ['data']}}
           for name, cmd2 in (('depth', DEPTH), ('height', HEIGHT))}
-PUMP_ROW = b'pump: {cmd2: %d, srv_type: std_srvs/Trigger, timeout: 0.3}' % PUMP
+PUMP_ROWS = b'''pump: {cmd2: %d, srv_type: std_srvs/Trigger, timeout: 0.3}
+tick: {cmd2: %d, ros_type: std_msgs/Empty, period: 0.1}''' % (PUMP, TICK)
 
 
 class Sent(NamedTuple):
@@ -67,7 +77,8 @@ class Sent(NamedTuple):
 _COMMANDS = {codec.SPEED: '<h', codec.STEERING: '<H', WINCH: '>H', HEATER: '>H'}
 _MEASUREMENTS = {codec.TICKS: ('~ticks', '<B'), codec.STEERING_ANGLE: ('~steering_angle', '<H'),
                  COUNTER: ('~counter', '<I'), codec.VOLTAGE: ('~voltage', '<f'),
-                 codec.IMU: ('~imu', '>11h'), FIELD: ('~field', '<3h')}
+                 codec.IMU: ('~imu', '>11h'), FIELD: ('~field', '<3h'),
+                 PLACE: ('~place', '<3h')}
 _STATUS, _UNKNOWN = '<HHHhh', (0x8000, -0x8000, -0x8000)    # of the sensor board; its angles
 
 
@@ -250,6 +261,9 @@ class Car(Board):
     def keys(frame: codec.Frame) -> List[Key]:
         if frame.type == BLOB:
             return [('~blob', frame.data)]
+        if frame.type == SCAN:
+            values = struct.unpack(f'>{len(frame.data) // 2}h', frame.data)
+            return [('~scan', tuple(None if each == MISSING else each for each in values))]
         topic, layout = _MEASUREMENTS.get(frame.type, ('', ''))
         if not topic or len(frame.data) != struct.calcsize(layout):
             return []
@@ -259,6 +273,8 @@ class Car(Board):
                     ('tf/imu_orientation', unit_key(values[:4]))]
         if frame.type == FIELD:
             return [(topic, (values[0], None if values[1] == MISSING else values[1], values[2]))]
+        if frame.type == PLACE:
+            return [(topic, values), ('tf/place', values[2])]
         if frame.type == codec.VOLTAGE:
             return [(topic, wire_number(values[0] * 1000))]
         return [(topic, values[0])]
@@ -268,9 +284,11 @@ class Car(Board):
         self._number = n = self._number + 1
         for type_, *values in ((codec.TICKS, n % 256), (codec.STEERING_ANGLE, n % 1025),
                                (codec.VOLTAGE, n % 90000 / 1000), (COUNTER, n),
-                               (codec.IMU, *imu_values(n)), (FIELD, *field_values(n))):
+                               (codec.IMU, *imu_values(n)), (FIELD, *field_values(n)),
+                               (PLACE, n % 30000, -(n % 30001), n % 62000 - 31000)):
             layout = _MEASUREMENTS[type_][1]
             self.send(codec.arduino_packet(type_, struct.pack(layout, *values)))
+        self.send(codec.arduino_packet(SCAN, struct.pack('>3h', n % 30000, MISSING, 258)))
 
 
 def imu_values(n: int) -> Tuple[int, ...]:
@@ -321,7 +339,7 @@ class Sensors(Board):
     def measure(self) -> None:
         """Send one status; its ranges and angles follow from its number."""
         self._number = n = self._number + 1
-        ranges = 0xFFFF if n % 11 == 0 else n % 65535, 0xFFFF if n % 10 == 0 else n * 7 % 2500
+        ranges = 0xFFFF if n % 11 == 0 else n % 65535, 0xFFFF if n % 9 == 0 else n * 7 % 2500
         # The heading may be over 360 degrees, but is never 360.
         angles = ((n * 998 + 1) % 47000, n % 9000 - 4500, -(n % 17000)) if n % 7 else _UNKNOWN
         self.send(self.frame(codec.SENSORS, struct.pack(_STATUS, *ranges, *angles)))
@@ -418,6 +436,11 @@ class BusBoard(Board):
             return [('~height' if number % 2 else '~depth', number)]
         return []
 
+    @property
+    def connection_requests(self) -> List[Request]:
+        """The requests since the port was opened."""
+        return [each for each in self.requests if each.connection == self.connection]
+
     def count(self, cmd2: int) -> int:
         """How many requests of this function were received."""
         return [each.cmd2 for each in self.requests].count(cmd2)
@@ -440,7 +463,7 @@ class BusBoard(Board):
             self._nonces.append(request.data)
             self.lost_echoes += 1
         elif request.cmd1 != codec.SYNC and request.cmd2 != HALT:      # a stop needs no fence
-            is_same_poll = before and before.key == request.key and request.cmd2 in POLLS
+            is_same_poll = before and before.key == request.key and request.cmd2 in (*POLLS, TICK)
             is_echoed = before and before.cmd1 == codec.ECHO and before.data in self._echoed
             self.check_fence(Fence(
                 request.t,

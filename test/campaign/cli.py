@@ -19,6 +19,8 @@ from .storm import Storm
 
 _LOG_LINES = Path(__file__).with_name('log_lines.txt')
 _ROUND = 3600.0              # s of the statistical part between two exact parts
+_GRACE = 20.0                # s that a share of the exact part may take to end
+_STOPPED = 130               # exit status after a Ctrl-C, or the violation of `--until`
 _TRIES = 8                   # of a scenario that the machine spoils
 _PRIORITY = 2                # real-time, above the bridge's threads, below its heartbeat
 _SWITCH_INTERVAL = 5e-4      # s, of Python's threads
@@ -33,26 +35,36 @@ class Group(NamedTuple):
     events: Sequence[str] = ()      # patterns; if all scenarios were run, its log has each
 
 
-GROUPS = (
-    Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
-           *exact_node.SERIAL, exact_settings.no_rows), events=_LOG_LINES.read_text().splitlines()),
-    Group((exact_node.killed,)),
-    Group(exact_settings.SERIAL, exact_settings.PARAMETERS),
-    Group((exact_bus.polls, exact_bus.announced), exact_node.POLLING),
-    Group((exact_node.ends,)),
-    Group((*exact_faults.NETWORK, exact_node.ends), network=True))
+# Each share of the exact part is a process; they take about the same time.
+SHARES = (
+    (Group((*exact_bus.SERIAL, *exact_car.SERIAL, *exact_data.SERIAL, *exact_faults.SERIAL,
+            *exact_node.SERIAL, exact_settings.no_rows),
+           # The bridge says that it does not know the first one.
+           {'arduino/speed_time_out': 1.0, 'settings/arduino/trim': 300},
+           events=_LOG_LINES.read_text().splitlines()),),
+    (Group((*exact_car.LONG, *exact_data.LONG, *exact_faults.LONG)),
+     Group((exact_node.killed, exact_node.simulated_time)),
+     Group((*exact_settings.SERIAL, exact_car.endless_calibration), exact_settings.PARAMETERS),
+     Group((exact_bus.polls,), exact_node.POLLING),
+     Group((exact_bus.announced,), {'bus/announcements': True}),
+     Group((exact_bus.one_poll,), exact_bus.ONE_POLL),
+     Group((exact_faults.no_limits,), exact_faults.NO_LIMITS),
+     Group((exact_faults.queued,), {'bus/motion_timeout': exact_faults.LONG_TIMEOUT}),
+     Group((exact_node.ends,)),
+     Group((*exact_faults.NETWORK, exact_node.ends), network=True)))
+GROUPS = [group for share in SHARES for group in share]
 
 
 def main(options: Namespace) -> int:
     prepare_output()
-    for number in signal.SIGTERM, signal.SIGHUP:
-        signal.signal(number, signal.default_int_handler)    # as Ctrl-C, so that children are ended
     # Read what the bridge writes at once, also while the machine is busy, if the system allows it.
     # All threads of this process inherit this, its children do not.
     sys.setswitchinterval(_SWITCH_INTERVAL)
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
     table, rig, status, error_text = Table(), None, 0, ''
+    for number in signal.SIGTERM, signal.SIGHUP:
+        signal.signal(number, signal.default_int_handler)    # as Ctrl-C, so that children are ended
     try:
         print(f'seed {options.seed}', file=sys.stderr)
         rig = Rig(table, options.keep, options.bridge)
@@ -64,10 +76,10 @@ def main(options: Namespace) -> int:
             print('starting', file=sys.stderr)
             _run(rig, options)
     except KeyboardInterrupt:
-        status, error_text = 130, 'stopped'
+        status, error_text = _STOPPED, 'stopped'
     except StageError as error:
         status, error_text = 2, f'the campaign does not work: {error}'
-    print(table)
+    print(table if options.share is None else table.dump())
     if table.failed:        # keep the records
         print(f'records: {rig.folder}' if rig else 'no records', file=sys.stderr)
     elif rig:
@@ -77,21 +89,52 @@ def main(options: Namespace) -> int:
 
 
 def _run(rig: Rig, options: Namespace) -> None:
-    if options.part not in ('all', 'storm'):
-        run_exact(rig, '' if options.part == 'exact' else options.part)
-        return
-    for number in range(math.ceil(options.duration / _ROUND)):
-        if options.part == 'all':
-            run_exact(rig)
-        run_storm(rig, min(_ROUND, options.duration - number * _ROUND),
-                  f'{options.seed} {number}', options.busy)
+    if options.share is not None:
+        run_scenarios(rig, SHARES[options.share])
+    elif options.part == 'exact':
+        run_exact(rig, options)
+    elif options.part not in ('all', 'storm'):
+        run_scenarios(rig, GROUPS, options.part)
+    else:
+        for number in range(math.ceil(options.duration / _ROUND)):
+            if options.part == 'all':
+                run_exact(rig, options)
+            run_storm(rig, min(_ROUND, options.duration - number * _ROUND),
+                      f'{options.seed} {number}', options.busy)
 
 
-def run_exact(rig: Rig, only: str = '') -> None:
-    """Run all scenarios, or those with `only` in their names."""
+def run_exact(rig: Rig, options: Namespace) -> None:
+    """Run the exact part, its shares side by side since they mostly wait; add their results."""
+    rig.table.runs['exact'] += 1
+    shares = []
+    for number in range(len(SHARES)):
+        name = f"exact_{rig.table.runs['exact']}_{number}"
+        shares.append(rig.child(name, [
+            sys.executable, '-m', __package__, '--share', str(number), '--keep', rig.path(name),
+            '--until', options.until, '--bridge', options.bridge], stderr=sys.stderr.fileno()))
+
+    def over() -> bool:
+        statuses = [each.process.poll() for each in shares]
+        return None not in statuses or _STOPPED in statuses
+    try:
+        rig.wait(over, 'the exact part ends', math.inf)
+    finally:
+        for each in shares:
+            each.ask_to_end()
+        for each in shares:
+            rig.end(each, grace=_GRACE)
+            rig.table.add(Path(each.log).read_text())
+    for each in shares:
+        if each.process.returncode == _STOPPED:
+            raise KeyboardInterrupt
+        if each.process.returncode not in (0, 1):
+            raise each.fault()
+
+
+def run_scenarios(rig: Rig, groups: Sequence[Group], only: str = '') -> None:
+    """Run all scenarios of these groups, or those with `only` in their names."""
     rig.table.part = 'exact'
-    rig.table.runs['exact'] += not only
-    for group in GROUPS:
+    for group in groups:
         scenarios = [each for each in group.scenarios if only in name_of(each)]
         if not scenarios:
             continue
@@ -149,7 +192,8 @@ def carry_out(rig: Rig, scenario: Scenario) -> None:
 
 def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
     """Begins with quiet lines. After an exception, which is a violation, there is a new bridge."""
-    print(f'{name_of(scenario)} ...', file=sys.stderr)
+    name = name_of(scenario)
+    print(f'{name} ...', file=sys.stderr)
     began, error_text = time.monotonic(), ''
     try:
         if rig.table.part == 'exact':       # the storm starts its own bridge
@@ -158,8 +202,8 @@ def _carry_out_once(rig: Rig, scenario: Scenario) -> None:
     except Exception as error:  # pylint: disable=broad-except
         error_text = f'{type(error).__name__}: {error}'
     rig.row('every scenario runs to its end').check(
-        not error_text, f'{name_of(scenario)}: {error_text}')
-    print(f'    {time.monotonic() - began:.1f} s {error_text}', file=sys.stderr)
+        not error_text, f'{name}: {error_text}')
+    print(f'    {name}: {time.monotonic() - began:.1f} s {error_text}', file=sys.stderr)
     if error_text:
         rig.restore()
     rig.check_always()

@@ -1,24 +1,28 @@
 """The bus, exactly: compares what each call returned with what the board did."""
 import contextlib
 import itertools
+import math
 import signal
 import struct
 import time
-from typing import Any, Callable, ContextManager, List, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, ContextManager, List, NamedTuple, Optional, Sequence, Tuple
 
 import rosgraph
+import rospy
 
 import by_definition as codec
-from .boards import (ANNOUNCE, HALT, MEMORY, OK, POLLS, PRESS, PRESS_TIMEOUT, PROBE, PUMP, PUMP_ROW,
-                     Reaction, Request, reply_frame)
-from .rig import MOTION_TIMEOUT, NOISE, POLLED_TOPICS, REPLY_TIMEOUT, Rig
-from .robot import NODE, NOT_SENT, Outcome
+from .boards import (ANNOUNCE, HALT, MEMORY, OK, PERIODS, PRESS, PRESS_TIMEOUT, PROBE, PUMP,
+                     PUMP_ROWS, QUICK_TIMEOUT, TICK, Reaction, Request, reply_frame)
+from .rig import (FENCED, MOTION_TIMEOUT, NOISE, POLLED_TOPICS, REPLY_TIMEOUT, UNTIL_PUBLISHED,
+                  Rig)
+from .robot import NODE, NOT_SENT, TIMEOUT, Outcome
 
 Key = Tuple[int, bytes]     # CMD2 and DATE of a request
 QUEUE_TIME = 0.8         # s that a call may wait for its turn, in addition to its timeout
 _ROS_TIME = 0.2          # s that ROS may take for a call
 _LATE = 0.1              # s after the timeout
 SERVICES = 'lift', 'gimbal', 'bus/request', 'press'
+_SYNC_REPEATED = 'bus: the board does not answer ECHO; SYNC is repeated'
 _FUNCTIONS = {'lift': codec.LIFT, 'gimbal': codec.GIMBAL, 'press': PRESS}
 _DIRECTIONS = {'lift': 2, 'gimbal': 4, 'press': 2}
 _TIMEOUTS = {'lift': MOTION_TIMEOUT, 'gimbal': MOTION_TIMEOUT, 'press': PRESS_TIMEOUT,
@@ -54,6 +58,7 @@ class Case(NamedTuple):
 _DONE, _LOST, _FAILED = _executed(0), Reaction(), _replied(_refusal(codec.FAILED, codec.ERROR))
 _UNSYNCHRONISED = _replied(_refusal(codec.NOT_SYNCHRONISED)), _DONE
 _DAMAGED = bytes((0xA5, 0, codec.OK ^ 0x10, 0xA5 ^ codec.OK))
+_OTHER_FLAG = bytes((0xA4, 0, codec.OK, 0xA5 ^ codec.OK))
 CASES = (
     Case('with a reply', [_DONE], 'done'),
     Case('with a reply after 200 bytes of noise', [_executed(0, before=NOISE)], 'done'),
@@ -75,9 +80,14 @@ SESSION_CASES = (
     *(Case(f'INVALID {code:#x}, but executed', [_executed(0.01, before=_refusal(code)), _DONE],
            'not known') for code in (codec.BAD_CHECKSUM, codec.NOT_SYNCHRONISED, 0x20)),
     *(Case(f'an OK with another flag, then INVALID {code:#x}', [
-        _executed(before=bytes((0xA4, 0, codec.OK, 0xA5 ^ codec.OK)) + _refusal(code)), _DONE],
+        _executed(before=_OTHER_FLAG + _refusal(code)), _DONE],
            'not known') for code in (codec.BAD_CHECKSUM, codec.NOT_SYNCHRONISED, 0x20)),
+    *(Case(f'INVALID {code:#x}, then an OK with another flag', [
+        _executed(before=_refusal(code) + _OTHER_FLAG), _DONE], 'not known')
+      for code in (codec.BAD_CHECKSUM, 0x20)),
     Case('bad checksum each time', [_replied(_refusal(codec.BAD_CHECKSUM))], 'refused', 3),
+    Case('bad checksum, in two bytes', [
+        _replied(reply_frame(codec.INVALID, bytes((codec.BAD_CHECKSUM, 0)))), _DONE], 'done', 2),
     *(Case(f'behind {what} {name}', reactions, 'done', len(reactions), probe, cmd)
       for name, cmd, reactions, other in (
           ('ECHO', codec.ECHO, [_DONE], reply_frame(codec.SYNC)),
@@ -116,10 +126,11 @@ class Calls:
             return MEMORY, struct.pack('<I', n)
         return _FUNCTIONS[service], bytes((n % _DIRECTIONS[service], 255 - n // 2 % 256))
 
-    def start(self, service: str) -> Call:
+    def start(self, service: str, connected: Optional[rospy.ServiceProxy] = None) -> Call:
+        """Start a call of a service, over a connection that there is already, if given."""
         key = self.next_key(service)
         arguments = (codec.FUNCTION, *key) if key[0] == MEMORY else key[1]
-        return Call(service, key, self.rig.robot.start_call(service, *arguments))
+        return Call(service, key, self.rig.robot.start_call(connected or service, *arguments))
 
     def start_unanswered(self) -> Call:
         """Start a call of the lift, which is executed without a reply."""
@@ -167,16 +178,39 @@ def outcomes(rig: Rig) -> None:
     for case, service in rig.tries(*itertools.product(CASES, SERVICES),
                                    *itertools.product(SESSION_CASES, ('lift', 'press'))):
         _try_case(calls, case, service)
-    own = rig.row('a call without a reply ends after the timeout of its function')
-    for service in rig.tries(*SERVICES):
-        rig.bus.react = lambda request: _executed()
-        outcome, timeout = calls.call(service, 'without a reply', 'not known'), _TIMEOUTS[service]
-        rig.in_time(own, outcome.began, outcome.ended, timeout + _ROS_TIME, service, timeout)
     rig.settle()
     for service in 'lift', 'gimbal':
         outcome = rig.robot.call(service, _DIRECTIONS[service], 1)
         calls.matches.check(outcome.status == NOT_SENT and not rig.bus.executed,
                             f'{service} in a direction that it has not: {outcome}')
+    rig.bus.react = lambda request: _FAILED
+    outcome = rig.robot.call('probe')       # its type has no field for the status
+    calls.matches.check(outcome.message.startswith(f'status {codec.ERROR} '), f'{outcome}')
+    rig.settle()
+    rig.bus.react = lambda request: _executed(before=_refusal(codec.BAD_CHECKSUM))
+    rig.bus.probe = lambda request: _LOST if rig.bus.executed else None
+    calls.call('lift', 'executed and INVALID, then no ECHO', 'not known')
+
+
+def no_replies(rig: Rig) -> None:
+    """Every service, executed without a reply."""
+    own = rig.row('a call without a reply ends after the timeout of its function')
+    calls = Calls(rig)
+    with rig.counted(rig.row('the counters in /diagnostics are exact'), 'bus',
+                     {'timeouts': len(SERVICES) + 2}):
+        for service in rig.tries(*SERVICES):
+            rig.bus.react = lambda request: _executed()
+            outcome, timeout = calls.call(service, 'without a reply', 'not known'), \
+                _TIMEOUTS[service]
+            rig.in_time(own, outcome.began, outcome.ended, timeout + _ROS_TIME, service, timeout)
+        rig.bus.react = lambda request: _executed()
+        outcome = rig.robot.call('bus/request', codec.FUNCTION, codec.LIFT, b'\1\1')
+        rig.in_time(own, outcome.began, outcome.ended, MOTION_TIMEOUT + _ROS_TIME, 'a raw lift',
+                    MOTION_TIMEOUT)
+        outcome = rig.robot.call('quick')
+        rig.in_time(own, outcome.began, outcome.ended, QUICK_TIMEOUT + _ROS_TIME, 'quick',
+                    QUICK_TIMEOUT)
+        rig.bus.usual()
 
 
 def _try_case(calls: Calls, case: Case, service: str) -> None:
@@ -224,6 +258,23 @@ def readings(rig: Rig) -> None:
     received = rig.bus.count(codec.ENVIRONMENT)
     again.check(not outcome.success and received == 3, f'{received} lost: {outcome}')
     rig.settle()
+    rig.bus.react = lambda request: _LOST
+    outcome = rig.robot.call('bus/request', codec.FUNCTION, codec.ENVIRONMENT, b'')
+    again.check((rig.bus.count(codec.ENVIRONMENT), outcome.status) == (1, TIMEOUT),
+                f'a raw request that reads was sent again: {outcome}')
+    rig.settle()
+    with rig.counted(rig.row('the counters in /diagnostics are exact'), 'bus',
+                     {'length errors': 1}):
+        rig.bus.react = lambda request: _replied(reply_frame(codec.OK, b'123'))
+        outcome = rig.robot.call('get_environment')
+        again.wait(lambda: rig.bus.requests[-1].cmd1 == codec.ECHO, 'a fence behind it')
+        again.check((outcome.success, outcome.status) == (False, codec.OK),
+                    f'a reply of three bytes: {outcome}')
+        rig.diagnosed('bus', 1, 'in the last second')
+    rig.settle()
+    for _ in range(2):      # the second call is equal to the request before it
+        rig.robot.call('lift', 0, 1)
+    rig.settle()
     _call_session(rig)
     for size in (253, 254, 255, 256, 300, 1024):
         data = bytes(n % 255 + 1 for n in range(size))
@@ -244,21 +295,37 @@ def _call_session(rig: Rig) -> None:
     took = float(outcome.message.split()[0]) / 1e3
     required.check(0.049 < took < outcome.ended - outcome.began, f'ECHO: {outcome}')
     rig.bus.probe = None
+    rig.wait_in_step()
+    rig.next_report('bus')
+    shown = rig.next_report('bus')[2]
+    longest, usual = (float(shown[f'round trip {what} [ms]']) / 1e3 for what in ('max', 'p50'))
+    required.check(longest > took - 1e-4 and usual < 0.04, f'{shown}')
 
 
-def _reconnect(rig: Rig, silent: int = -1) -> None:
-    """The port is closed and opened; then the board does not reply to this command."""
+Probe = Callable[[Request], Optional[Reaction]]
+
+
+def reconnect(rig: Rig, probe: Optional[Probe] = None) -> None:
+    """The port is closed and opened; then the board reacts so to SYNC and ECHO."""
     rig.bus_line.unplug()
-    rig.bus.probe = lambda request: _LOST if request.cmd1 == silent else None
+    rig.bus.probe = probe
     rig.bus_line.plug()
+
+
+def no_sync(request: Request) -> Optional[Reaction]:
+    return _LOST if request.cmd1 == codec.SYNC else None
 
 
 def never_echoes(rig: Rig) -> None:
     """A board that answers no ECHO: silence is the fence."""
     quiet = rig.row('a board that never echoes: 20 ms of silence before each call')
     calls = Calls(rig)
-    _reconnect(rig, codec.ECHO)
-    quiet.wait(lambda: rig.robot.call('probe').success, 'calls are possible')
+    silences = len(rig.logs.find(_SYNC_REPEATED))
+    with rig.counted(rig.row('the counters in /diagnostics are exact'), 'bus', {'timeouts': 3}):
+        # It answers SYNC twice: the silence after it begins anew.
+        reconnect(rig, lambda request: _LOST if request.cmd1 == codec.ECHO else Reaction(
+            [(0, OK), (0.2, OK)]))
+        quiet.wait(lambda: rig.robot.call('probe').success, 'calls are possible')
     for index in range(8):
         written_at = rig.bus.written_at
 
@@ -273,17 +340,31 @@ def never_echoes(rig: Rig) -> None:
         calls.own_reply.check(not rig.robot.call('probe').success, 'another reply was used')
     rig.bus.react = lambda request: _replied(reply_frame(codec.OK, b'1234'))
     calls.call('lift', 'without ECHO, OK with data', 'not known')
-    _reconnect(rig)
+    rig.bus.react = None
+    rig.row('what happened is in the log').check(
+        len(rig.logs.find(_SYNC_REPEATED)) == silences, 'a board without ECHO is called silent')
+    reconnect(rig, lambda request: Reaction([(REPLY_TIMEOUT + _LATE, OK)])
+              if request.cmd1 == codec.ECHO else None)
+    rig.row(FENCED).wait(
+        lambda: sum(each.cmd1 == codec.ECHO for each in rig.bus.connection_requests) >= 3,
+        'three ECHOs, answered late', 10.0)
+    rig.bus.probe = None
+    rig.wait(lambda: rig.robot.call('bus/sync').success, 'in step')
+    calls.call('lift', 'of a board that echoes late', 'done')
+    reconnect(rig)
+    rig.wait(lambda: rig.robot.call('probe').success, 'another board, which echoes')
 
 
 def unanswered_sync(rig: Rig) -> None:
     """A board that answers no SYNC, and then answers."""
     only = rig.row('until SYNC is answered nothing else is sent')
     calls = Calls(rig)
-    _reconnect(rig, codec.SYNC)
+    reconnect(rig, no_sync)
     rig.wait(lambda: len(rig.bus.requests) > 2, 'SYNC is repeated')
     calls.call('lift', 'without SYNC', 'not sent', 0.0)
     rig.diagnosed('bus', 2, 'does not answer SYNC')
+    rig.row('what happened is in the log').wait(
+        lambda: rig.logs.find('bus: the board does not answer SYNC'), 'it is logged', 10.0)
     for request in list(rig.bus.requests):
         only.check(request.cmd1 == codec.SYNC, f'{request} was sent')
     rig.bus.probe = None
@@ -292,6 +373,15 @@ def unanswered_sync(rig: Rig) -> None:
     rig.diagnosed('bus', 0, 'ready')
     rig.row('a function is sent only to the board that announced it').check(
         not rig.bus.count(ANNOUNCE), 'a question for an announcement')
+    reconnect(rig)
+    rig.wait(lambda: codec.ECHO in [each.cmd1 for each in rig.bus.connection_requests], 'a fence')
+    rig.sleep(1.2)
+    call = calls.start('lift')
+    calls.check(call, 'long after a fence', 'done')
+    requests = rig.bus.connection_requests
+    keys = [each.key for each in requests]
+    fence, lift = requests[keys.index(call.key) - 1:][:2]
+    rig.in_time(rig.row(FENCED), fence.t, lift.t, 1.0, 'the age of the fence')
 
 
 def queue(rig: Rig) -> None:
@@ -299,8 +389,9 @@ def queue(rig: Rig) -> None:
     for the queue."""
     required = rig.row('at most one request is outstanding')
     calls = Calls(rig)
-    for delay, wanted, least, most in rig.tries(
-            (0.03, 'done', 8, 8), (0.25, 'done or not sent', 2, 7)):
+    proxies = [rig.robot.connect('bus/request') for _ in range(8)]
+    for delay, pause, wanted, least, most in rig.tries(
+            (0.03, 0.0, 'done', 8, 8), (0.25, 0.1, 'done or not sent', 2, 7)):
         replied_at = [0.0]
 
         def react(request: Request) -> Reaction:
@@ -309,7 +400,10 @@ def queue(rig: Rig) -> None:
             return _executed(delay)
 
         rig.bus.react = react
-        made, done = [calls.start('bus/request') for _ in range(8)], 0
+        made, done = [], 0
+        for proxy in proxies:
+            made.append(calls.start('bus/request', proxy))
+            rig.sleep(pause)        # so that they arrive in this order
         for call in made:
             call.result()
         for call in made:
@@ -317,15 +411,20 @@ def queue(rig: Rig) -> None:
             calls.check_received(call.key, success, 'one of 8 at once')
             done += success
         required.check(least <= done <= most, f'{done} of 8 calls done')
+        keys = [call.key for call in made]
+        sent = [keys.index(each.key) for each in rig.bus.requests if each.key in keys]
+        required.check(not pause or sent == sorted(sent), f'the calls were sent as {sent}')
 
 
 def interrupted(rig: Rig) -> None:
     """A stop, while a motion and calls behind it wait; also behind noise that never ends."""
     at_once = rig.row('a stop is sent within 50 ms, whatever is outstanding')
-    calls, halt = Calls(rig), rig.robot.connect('halt')
+    calls, lift, halt = Calls(rig), rig.robot.connect('lift'), rig.robot.connect('halt')
+    raw = rig.robot.connect('bus/request')
     for noise in rig.tries(False, False, True):
-        outstanding, behind = calls.start_unanswered(), calls.start('lift')
-        rig.sleep(0.2)      # the call of the lift has arrived, and the motion has not timed out
+        outstanding = calls.start_unanswered()
+        behind = calls.start('lift', lift), calls.start('bus/request', raw)
+        rig.sleep(0.2)      # these calls have arrived, and the motion has not timed out
         with _dribble(rig) if noise else contextlib.nullcontext():
             # The board answers ECHO only after the motion.
             rig.bus.probe = lambda request: Reaction([(0.2, OK)])
@@ -336,7 +435,8 @@ def interrupted(rig: Rig) -> None:
             rig.in_time(at_once, began, sent.t, 0.05, f'noise: {noise}')
             rig.bus.react = rig.bus.probe = None
             calls.check(outstanding, 'interrupted', 'not known', 1.0)
-            calls.check(behind, 'behind a stop', 'not sent', 1.0)
+            for each in behind:
+                calls.check(each, 'behind a stop', 'not sent', 1.0)
         at_once.check(stop().success or noise, 'the stop failed')
     for _ in rig.tries(*range(2)):
         outstanding = calls.start_unanswered()
@@ -347,6 +447,12 @@ def interrupted(rig: Rig) -> None:
         rig.bus.react = rig.bus.probe = None
         calls.check(outstanding, 'interrupted', 'not known', 1.0)
         stop()
+    rig.settle()
+    rig.bus.react = lambda request: None if request.cmd2 != HALT else \
+        _DONE if rig.bus.count(HALT) < 2 else _replied(_refusal(0x20))
+    outcome = rig.robot.call('halt')
+    calls.matches.check(outcome.success or outcome.message.startswith(f'status {TIMEOUT} '),
+                        f'a stop, executed and then refused: {outcome}')
 
 
 def _dribble(rig: Rig) -> ContextManager[None]:
@@ -389,21 +495,50 @@ def suspended_caller(rig: Rig) -> None:
 def announced(rig: Rig) -> None:
     """A board announces a function; another one, which announces nothing, takes its place."""
     required = rig.row('a function is sent only to the board that announced it')
+    calls = Calls(rig)
     for same_port in rig.tries(True, False):
-        rig.bus.announces, rig.bus.lost_questions = PUMP_ROW, 3
-        _reconnect(rig)
+        rig.bus.lost_questions = 6      # two questions: each is sent three times
+        reconnect(rig)
+        required.wait(lambda: not rig.bus.lost_questions, 'it is asked again', 10.0)
+        rig.sleep(REPLY_TIMEOUT + _LATE)        # the last question is given up
+        rig.bus.announces = PUMP_ROWS
+        reconnect(rig)
+        question = required.wait(lambda: [
+            each for each in rig.bus.connection_requests if each.cmd2 == ANNOUNCE],
+            'it is asked')[0]
+        sync = rig.bus.connection_requests[0]
+        rig.in_time(required, sync.t, question.t, 0.4, 'asked without a pause')
         required.wait(lambda: rig.robot.call('pump').success, 'pump is served', 10.0)
+        asked = rig.bus.count(ANNOUNCE)
+        rig.robot.call('bus/sync')
+        chunks = len(codec.announcement(PUMP_ROWS, 30))
+        required.wait(lambda: rig.bus.count(ANNOUNCE) >= asked + chunks, 'asked again', 5.0)
+        required.wait(lambda: rig.robot.call('pump').success, 'pump is served again', 10.0)
+        required.wait(lambda: rig.bus.count(TICK) > 2, 'tick is polled')
         rig.bus.announces, executed = b'', rig.bus.executed[PUMP, b'']
         if same_port:
-            rig.bus.in_step = False
+            rig.bus.react = lambda request: _executed(0.3)
+            lift = calls.start('lift')
+            rig.wait(lambda: rig.bus.executed[lift.key], 'it arrives')
+            waiting = rig.robot.start_call('pump')
+            rig.sleep(0.1)
+            rig.bus.in_step, rig.bus.react = False, None
+            calls.check(lift, 'of the board before', 'done')
+            required.check(not waiting().success, 'a call that waited was done')
         else:
-            _reconnect(rig)
+            reconnect(rig)
         for _ in range(2):      # at once, and when the board is known to announce nothing
             outcome = rig.robot.call('pump')
             required.check(rig.bus.executed[PUMP, b''] == executed and not outcome.success,
                            f'the other board executed it: {outcome}')
             rig.wait_in_step()
         required.wait(lambda: f'{NODE}/pump' not in _services(), 'pump is gone', 10.0)
+        required.check(same_port or TICK not in [
+            each.cmd2 for each in rig.bus.connection_requests],
+            'tick was polled before it was announced')
+        count = rig.bus.count(TICK)
+        rig.sleep(0.3)
+        required.check(rig.bus.count(TICK) == count, 'tick is polled at the other board')
 
 
 def _services() -> List[str]:
@@ -437,15 +572,40 @@ def _check_turns(rig: Rig) -> None:
     for _ in range(3):
         outcome = rig.robot.call('bus/request', codec.FUNCTION, MEMORY, b'1')
         required.check(outcome.success, f'behind polls: {outcome}')
+    rig.bus.react = lambda request: _executed(0.4) if request.cmd2 == codec.LIFT else None
+    required.check(rig.robot.call('lift', 0, 3).success, 'a lift among polls')
+    rig.sleep(0.5)
+    at = [each.cmd2 for each in rig.bus.requests].index(codec.LIFT)
+    for cmd2, period in PERIODS.items():
+        behind = [each.t for each in rig.bus.requests[at:] if each.cmd2 == cmd2][:4]
+        rig.in_time(required, behind[0], behind[-1], math.inf, 'polls behind a lift', period)
     rig.bus.react = None
-    for cmd2 in POLLS:
+    for cmd2, period in PERIODS.items():
         since = len(rig.bus.requests)
 
         def times() -> List[float]:
             return [each.t for each in rig.bus.requests[since:] if each.cmd2 == cmd2]
         required.wait(lambda: len(times()) > 10, f'polls of {cmd2:#x}')
-        rig.in_time(required, times()[0], times()[10], 1.2, f'ten polls of {cmd2:#x}')
+        rig.in_time(required, times()[0], times()[10], 12 * period, f'ten polls of {cmd2:#x}')
 
 
-SERIAL = (outcomes, readings, queue, never_echoes, unanswered_sync, interrupted, dribble,
-          suspended_caller)
+def one_poll(rig: Rig) -> None:
+    """The environment is the only poll, and its request has a Datelen of 0."""
+    required = rig.row('polls go on in their period, and calls go before them')
+    frames: List[bytes] = []
+    subscriber = rig.robot.subscribe_to_traffic(lambda frame: frames.append(bytes(frame.frame)))
+    required.wait(lambda: rig.bus.count(codec.ENVIRONMENT) > 1, 'it is polled')
+    since = rig.bus.count(codec.ENVIRONMENT)
+    rig.bus.react = lambda request: _replied(reply_frame(codec.OK, b'123')) \
+        if rig.bus.count(codec.ENVIRONMENT) == since + 1 else None
+    required.wait(lambda: rig.bus.count(codec.ENVIRONMENT) > since + 1, 'it is polled again')
+    at = [each.t for each in rig.bus.requests if each.cmd2 == codec.ENVIRONMENT]
+    # A poll without a fence gets it, and is sent again.
+    rig.in_time(required, at[since], at[since + 1], 0.5, 'again, behind a reply of three bytes')
+    required.wait(lambda: b'\xA5\0\x55\x22\xD2' in frames, 'a Datelen of 0', UNTIL_PUBLISHED)
+    subscriber.unregister()
+
+
+ONE_POLL = {'bus/environment_period': 1.0, 'bus/environment_datelen': 0}
+SERIAL = (outcomes, no_replies, readings, queue, never_echoes, unanswered_sync, interrupted,
+          dribble, suspended_caller)

@@ -10,13 +10,17 @@ from .robot import COMMANDS, NODE, WITH_STAMP
 
 TYPES = {'speed': codec.SPEED, 'steering': codec.STEERING, 'led': codec.LED, 'winch': WINCH,
          'heater': HEATER}
-_STOP_DELAY = 0.05       # s that SPEED 0 may be sent later than speed_timeout
+STAMPED = 'a stamp over 0.5 s off is refused, except for SPEED 0'
+STOPS = 'SPEED 0 within speed_timeout + 50 ms of the last command'
+_STOP_DELAY = 0.05      # s that SPEED 0 may be sent later than speed_timeout
 _REPEAT_PERIOD = 0.05    # s
 _REPEAT_TIME = 1.0       # s
 _GOES_ON = 5.0           # s
+CALIBRATION_TIMEOUT = 8.0       # s: a parameter of one bridge
 _BEFORE = 'SPEED 0 precedes a calibration; nothing is sent during it'
 _OVER = 'a calibration ends with the first IMU data after a silence of 2 s'
 _AGE = 0.8               # s, over arduino/command_age
+SILENT = 'arduino: the board is silent'     # in the log
 
 
 class Drive:
@@ -100,24 +104,24 @@ def commands(rig: Rig) -> None:
 
 def stops(rig: Rig) -> None:
     """A speed without further commands; SPEED 0; a speed while SPEED 0 is repeated."""
-    in_time = rig.row('SPEED 0 within speed_timeout + 50 ms of the last command')
+    in_time = rig.row(STOPS)
     not_early = rig.row('no SPEED 0 before speed_timeout, unless it was commanded')
     drive = Drive(rig)
 
-    def command_once() -> Packet:
-        packet = drive.command()
-        stop = in_time.wait(lambda: rig.car.stop_after(packet), 'SPEED 0')
-        rig.in_time(in_time, packet.t, stop.t, SPEED_TIMEOUT + _STOP_DELAY, '')
+    def command_once(value: int = 0) -> Packet:
+        packet = drive.command('speed', value)
+        stop = check_timeout(rig, packet)
         rig.in_time(not_early, packet.t, stop.t, 9.0, '', SPEED_TIMEOUT - 0.01)
         return stop
 
-    for _ in rig.tries(*range(3)):
-        check_repetitions(rig, command_once())
+    for value in rig.tries(0, -700, 0):
+        check_repetitions(rig, command_once(value))
     for _ in rig.tries(*range(2)):
         packet = drive.command()
         rig.robot.command('speed', 0)
         stop = in_time.wait(lambda: rig.car.stop_after(packet), 'SPEED 0')
         rig.in_time(in_time, packet.t, stop.t, 0.2, 'commanded')
+        drive.publish(10, ['steering', 'led'])
         check_repetitions(rig, stop)
     drive.command()
     rig.robot.command('speed', 0)
@@ -126,7 +130,13 @@ def stops(rig: Rig) -> None:
     rig.settle()
     drive.publish(25, ['steering', 'led'])
     not_early.check(not rig.car.commands(codec.SPEED), 'a SPEED among other commands')
+    packet = drive.command()
+    drive.publish(15, ['steering', 'led', 'winch', 'heater'])
+    check_timeout(rig, packet)
     drive.publish(25)
+    for _ in range(25):         # the same one each time, as of a joystick that is held
+        rig.robot.command('speed', 700)
+        rig.sleep(0.05)
     speeds = [each for each in rig.car.packets if each.type == codec.SPEED]
     for before, after in zip(speeds, speeds[1:]):
         if after.is_stop and not before.is_stop:
@@ -134,14 +144,29 @@ def stops(rig: Rig) -> None:
     not_early.check(True, '')       # also if there was none
 
 
+def check_timeout(rig: Rig, packet: Packet) -> Packet:
+    """Check, and return, the SPEED 0 that follows this speed without further ones."""
+    required = rig.row(STOPS)
+    stop: Packet = required.wait(lambda: rig.car.stop_after(packet), 'SPEED 0')
+    rig.in_time(required, packet.t, stop.t, SPEED_TIMEOUT + _STOP_DELAY, f'{packet}')
+    return stop
+
+
 def check_repetitions(rig: Rig, stop: Packet) -> None:
     required = rig.row('a SPEED 0 that ends a motion is repeated every 50 ms for 1 s')
     rig.wait_beats(_REPEAT_TIME + 0.15, stop.t)
-    stops = rig.car.packets[rig.car.packets.index(stop):]
-    required.check(all(each.is_stop for each in stops), f'another packet among {stops}')
+    packets = rig.car.packets[rig.car.packets.index(stop):]
+    stops = [each for each in packets if each.type == codec.SPEED]
+    required.check(all(each.is_stop for each in stops), f'another speed among {stops}')
     for before, after in zip(stops, stops[1:]):
         rig.in_time(required, before.t, after.t, _REPEAT_PERIOD + 0.015, 'to the next SPEED 0')
     rig.in_time(required, stop.t, stops[-1].t, _REPEAT_TIME + 0.1, 'all', _REPEAT_TIME - 0.1)
+
+
+def check_not_silent(rig: Rig, before: int) -> None:
+    """Check that the log has no more lines than so many that the car is silent."""
+    rig.row('what happened is in the log').check(
+        len(rig.logs.find(SILENT)) == before, 'the log says that the board is silent')
 
 
 def check_first(rig: Rig) -> Packet:
@@ -153,12 +178,13 @@ def check_first(rig: Rig) -> Packet:
 
 def old_stamps(rig: Rig) -> None:
     """Stamps in the past and in the future."""
-    required = rig.row('a stamp over 0.5 s off is refused, except for SPEED 0')
+    required = rig.row(STAMPED)
     drive = Drive(rig)
     for name in WITH_STAMP:
         for age in (_AGE, 3600.0, -_AGE, -3600.0):
             old = drive.next_number()
             rig.robot.command(name, old, time.time() - age)
+            rig.sleep(0.05)             # else the next one may take its place
             drive.command(name)         # on the same connection
             arrived = rig.car.packet(TYPES[name], old)
             required.check(not arrived, f'{name} with a stamp {age:g} s old arrived')
@@ -215,7 +241,7 @@ def old_connection(rig: Rig) -> None:
 def calibration(rig: Rig) -> None:
     """The board does not read while it calibrates, so nothing is sent to it."""
     required, over = rig.row(_BEFORE), rig.row(_OVER)
-    drive = Drive(rig)
+    drive, silences = Drive(rig), len(rig.logs.find(SILENT))
     for moves in rig.tries(True, False):
         if moves:
             drive.command()
@@ -227,6 +253,9 @@ def calibration(rig: Rig) -> None:
         drive.publish(28)
         rig.car.measure()           # after 1.5 s: it was in the network
         silent_until = time.monotonic() + 2.2
+        required.check(not rig.robot.call('arduino/release', 'campaign', 1.0).success,
+                       'its port is lent')
+        required.check(not rig.robot.call('calibrate_imu').success, 'it calibrates twice')
         rig.diagnosed('arduino', 1, 'calibrating')
         echo = rig.child(f'echo_{moves}', [
             'rostopic', 'echo', '-n', '1', f'{NODE}/imu/calibrating'])
@@ -243,6 +272,7 @@ def calibration(rig: Rig) -> None:
                    f'~imu/calibrating: {said}, to a new subscriber {echo.tail()}')
         rig.end(echo)
         rig.car.talks = True
+    check_not_silent(rig, silences)
 
 
 def interrupted_calibration(rig: Rig) -> None:
@@ -290,6 +320,18 @@ def no_calibration(rig: Rig) -> None:
         rig.car.talks = True
 
 
+def endless_calibration(rig: Rig) -> None:
+    """The board sends no IMU data any more."""
+    required = rig.row('a calibration is over after its timeout, whatever the board does')
+    request = _begin_calibration(rig)
+    said = rig.robot.published['~imu/calibrating']
+    required.wait(lambda: False in [each.message.data for each in said], 'it is over')
+    rig.in_time(required, request.t, time.monotonic(), CALIBRATION_TIMEOUT + 0.5, 'over',
+                CALIBRATION_TIMEOUT - 0.1)
+    rig.car.talks = True
+    Drive(rig).command_until_accepted()
+
+
 def _begin_calibration(rig: Rig) -> Packet:
     """Let the car fall silent, ask it to calibrate, and return the request."""
     rig.car.talks = False
@@ -298,5 +340,5 @@ def _begin_calibration(rig: Rig) -> Packet:
         each for each in rig.car.packets if each.type == codec.CALIBRATION], 'the request')[0]
 
 
-SERIAL = commands, stops, old_stamps, latched, old_connection, calibration, \
-    interrupted_calibration, no_calibration
+SERIAL = commands, old_stamps, latched, old_connection, calibration
+LONG = stops, interrupted_calibration, no_calibration

@@ -1,7 +1,9 @@
 """The node, exactly: what happens to its process, and to others that it works with."""
 import contextlib
+import fcntl
 import glob
 import json
+import os
 import signal
 import termios
 import time
@@ -10,14 +12,17 @@ from typing import Any, Dict, FrozenSet, List, Tuple
 
 import rosgraph
 import rospy
-from std_msgs.msg import Empty, UInt8
+from dynamic_reconfigure.msg import Config, IntParameter
+from dynamic_reconfigure.srv import Reconfigure
+from sensor_msgs.msg import Temperature
+from std_msgs.msg import Header, UInt8
 
 import by_definition as codec
 from processes import StageError
-from .boards import CUSTOM, POLLED, Reaction
-from .exact_car import TYPES, Drive, check_first
-from .exact_data import at_rest, measurements
-from .rig import LATCHED, Rig
+from .boards import CUSTOM, PERIODS, POLLED, Reaction
+from .exact_car import STAMPED, TYPES, Drive, check_first, check_timeout
+from .exact_data import REPORTED, at_rest, measurements, opened, unknown_types
+from .rig import AFTER, LATCHED, Rig
 from .robot import NODE
 
 _END = 2.0               # s
@@ -25,14 +30,21 @@ _MASTER_RETURN = 10.0    # s
 _ENDS = 'it ends within 2 s, whatever hangs; last packet SPEED 0'
 _TRIES = 20
 _SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
-# The last row conflicts with a parameter.
-_HOIST = b'hoist: {type: %d, direction: to_board, ros_type: std_msgs/Empty, layout: <, fields: []}'
+# The last two rows conflict with parameters: with a name, and a type.
+_HOIST = (b'hoist: {type: %d, direction: to_board, ros_type: sensor_msgs/Temperature, '
+          b'layout: <, fields: []}')
 _TEXT = (b'firmware: campaign %d\n' + _HOIST + b'\ngauge: {type: %d, ros_type: std_msgs/UInt8, '
          b'layout: <B, fields: [data]}\n'
-         b'winch: {type: 200, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}')
+         b'winch: {type: 200, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}\n'
+         b'second: {type: 60, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}')
+_NO_MASTER = 'no answer from the ROS master'      # in the log
+_LEVEL = 90
+_LEVELS = b'\n'.join(       # as many rows as one text may have
+    b'level_%d: {type: %d, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}' % (n, _LEVEL + n)
+    for n in range(16))
 _NONSENSE = b'', b'\0\1\0\0{[', *(bytes((number,)) * 40 for number in range(256))
 POLLING: Dict[str, Any] = {
-    'bus/environment_period': 0.1, 'bus/announcements': True,
+    'bus/environment_period': PERIODS[codec.ENVIRONMENT], 'bus/announcements': True,
     'bus/functions': json.dumps({**CUSTOM['bus/functions'], **POLLED})}
 
 
@@ -46,6 +58,30 @@ def second_bridge(rig: Rig) -> None:
     required.check(xmlrpc.client.ServerProxy(uri).getPid('/campaign')[2] == rig.child_bridge.pid,
                    'the second one is registered at the master')
     Drive(rig).command()
+    locked = rig.row('an open port is locked against other programs')
+    with opened(rig.mcu_line.port) as port:
+        try:
+            fcntl.flock(port, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            locked.check(False, 'another program can lock it')
+        except BlockingIOError:
+            locked.check(True, '')
+
+
+def mistakes(rig: Rig) -> None:
+    """Nodes are started with one port for two links, one name for two topics, and an argument."""
+    required = rig.row('a mistake in its configuration ends a node with status 1 or 2')
+    alias = rig.path(f'alias_{time.monotonic_ns()}')
+    os.symlink(rig.car_line.port, alias)
+    for status, arguments in (
+            (1, [f'_arduino/port:={rig.car_line.port}', f'_bus/port:={alias}']),
+            (1, [f'_mcu/port:={rig.path("absent")}', 'mcu/range_1:=mcu/range_2']),
+            (1, [f'_mcu/port:={rig.path("absent")}', '_mcu/timeout:=true']),
+            (2, ['__log:=/dev/null', 'wrong'])):
+        name = f'mistake_{time.monotonic_ns()}'     # without parameters of another one
+        node = rig.child(name, [*rig.bridge_command, f'__name:={name}', *arguments])
+        required.wait(lambda: not node.alive, f'with {arguments} it ends')
+        required.check(node.process.returncode == status,
+                       f'{arguments}: exit status {node.process.returncode}')
 
 
 def suspended_subscriber(rig: Rig) -> None:
@@ -61,17 +97,27 @@ def new_master(rig: Rig) -> None:
     """roscore ends, and another one starts at its address."""
     returns = rig.row('topics, services, parameters return within 10 s of a new master')
     continues = rig.row('without a master the ports stay open and commands arrive')
-    before = _registered()
+    before, parameters = _registered(), rospy.get_param(NODE)
     connections = rig.car.connection, rig.bus.connection, rig.sensors.connection
-    drive = Drive(rig)
+    drive, gone = Drive(rig), len(rig.logs.find(_NO_MASTER))
     rig.ask_master_to_end()
     rig.wait(lambda: not rig.master_runs, 'the master has ended')
     drive.command()
     rig.end_master()
-    rig.start_master()
+    rig.row('what happened is in the log').wait(
+        lambda: len(rig.logs.find(_NO_MASTER)) > gone, 'that the master is gone', 10.0)
+    with rig.suspended():       # what is there before the bridge finds the new master
+        rig.start_master()
+        rospy.set_param(f'{NODE}/bus/motion_timeout', 0.7)
+        early = rig.user('numbers', f'early_{time.monotonic_ns()}', 5000)
+    parameters['bus']['motion_timeout'] = 0.7
     began = time.monotonic()
     returns.wait(lambda: _registered() >= before, 'all is registered')
     returns.at_most(time.monotonic() - began, _MASTER_RETURN, 's', 'all is registered')
+    returns.wait(lambda: rospy.get_param(NODE) == parameters, 'the parameters are as before', 5.0)
+    returns.wait(lambda: max(rig.car.commands(codec.STEERING), default=0) >= 5000,
+                 'commands of a publisher that was there first')
+    rig.end(early)
     rig.robot.register_again()
     drive.command()
     continues.check(rig.robot.call('lift', 0, 2).success, 'a call failed')
@@ -113,6 +159,12 @@ def killed(rig: Rig) -> None:
     rig.end(child)
     rig.mcu_line.plug()
     rig.wait_for_data('mcu/cliff', rig.sensors.cliff, absent)
+    with rig.clock.each(0.05, rig.sensors.cliff):
+        rig.sleep(0.2)
+        rig.robot.clear_records()
+        rig.sleep(2.5)
+        rig.row(REPORTED).check(not rig.robot.published['mcu/status'],
+                                'a report of a board that sends other frames')
 
 
 def ends(rig: Rig) -> None:
@@ -120,14 +172,14 @@ def ends(rig: Rig) -> None:
     or while the ports of bus and mcu take no bytes. Behind networks once."""
     required = rig.row(_ENDS)
     for index in range(1 if rig.is_network else 2 * _TRIES):
-        _end(rig, _SIGNALS[index % 3], hang=index % 2 == 1)
+        _end(rig, _SIGNALS[index % 3], hang=index % 2 == 1, master_hangs=index % 8 == 7)
         rig.bus.usual()
         rig.start()
         if required.checks >= 3 * _TRIES:
             break
 
 
-def _end(rig: Rig, number: int, hang: bool) -> None:
+def _end(rig: Rig, number: int, hang: bool, master_hangs: bool) -> None:
     """End the bridge with this signal."""
     required, what = rig.row(_ENDS), f'{signal.Signals(number).name}{", ports hang" * hang}'
     drive, lines = Drive(rig), (rig.bus_line, rig.mcu_line)
@@ -143,6 +195,9 @@ def _end(rig: Rig, number: int, hang: bool) -> None:
         rig.robot.start_call('lift', 1, 1)
         rig.wait(lambda: rig.bus.executed, 'the request arrives')
     drive.command_until_accepted()
+    master = rosgraph.Master('/campaign').getPid()
+    if master_hangs:
+        os.kill(master, signal.SIGSTOP)
     began, before, waited = time.monotonic(), _waits(rig.child_bridge.pid), [0.0]
     rig.child_bridge.send(number)
 
@@ -155,6 +210,7 @@ def _end(rig: Rig, number: int, hang: bool) -> None:
     rig.in_time(required, began + max(waited), time.monotonic(), _END,
                 f'{what}, not counting {max(waited):.2f} s in which it got no processor')
     rig.end(rig.child_bridge)
+    os.kill(master, signal.SIGCONT)
     rig.car_line.drain()
     last, status = rig.car.last, rig.child_bridge.process.returncode
     required.check(last.is_stop, f'{what}: the last packet was {last}')
@@ -185,29 +241,39 @@ def announcements(rig: Rig) -> None:
         text = _TEXT % (type_, type_, type_ + 1)
         wrong = [chunk[:2] + b'\x12\x34' + chunk[4:] for chunk in codec.announcement(text, 50)]
         between = codec.announcement((b'between' + _HOIST) % type_, 50)
+        damaged = codec.announcement(text, 50)[1][:-1] + b'#'
         _announce(rig, *codec.announcement(b'half' + text, 50)[:-1], *_NONSENSE, *wrong, *between,
-                  *reversed(codec.announcement(text, 50)))
+                  damaged, *reversed(codec.announcement(text, 50)))
         required.wait(lambda: _announced() == {'hoist': type_, 'gauge': type_ + 1}, 'in use',
                       10.0)
         required.wait(lambda: rig.next_report('arduino')[2]['firmware'] == f'campaign {type_}',
                       "the firmware's name in /diagnostics", 10.0)
         values: List[int] = []
         subscriber = rospy.Subscriber(f'{NODE}/gauge', UInt8, lambda m: values.append(m.data))
-        command = rospy.Publisher(f'{NODE}/hoist', Empty, queue_size=1)
+        command = rospy.Publisher(f'{NODE}/hoist', Temperature, queue_size=1)
         rig.wait(lambda: command.get_num_connections() and subscriber.get_num_connections(),
                  'the bridge is connected')
 
-        def is_published(value: int) -> bool:
+        def is_published(value: int, scale: int = 1) -> bool:
             rig.car.write(codec.arduino_packet(type_ + 1, bytes((value,))))
             rig.wait_beats(0.05)
-            return value in values
+            return value * scale in values
         required.wait(lambda: is_published(7), 'its value is published')
+        values.clear()
+        _announce(rig, *codec.announcement(
+            text.replace(b'<B, fields: [data]}\nw', b'<B, fields: [data], scale: 2}\nw'), 50))
+        required.wait(lambda: is_published(7, 2), 'with another scale', 10.0)
+        _announce(rig, *codec.announcement(text, 50))
+        values.clear()
+        required.wait(lambda: is_published(7), 'with the scale before', 10.0)
         rig.car_line.unplug()
         rig.car_line.plug()
         rig.wait(lambda: rig.car.beats, 'heartbeats')
         command.publish()
         Drive(rig).command_until_accepted()
-        again.check(not is_published(8), 'gauge: a value was published')
+        with rig.counted(again, 'arduino', {'held back': 2}):
+            for _ in range(2):
+                again.check(not is_published(8), 'gauge: a value was published')
         again.check(type_ not in [each.type for each in rig.car.packets], 'hoist arrived')
         _announce(rig, *codec.announcement(text, 50))
 
@@ -216,12 +282,93 @@ def announcements(rig: Rig) -> None:
             rig.wait_beats(0.05)
             return type_ in [each.type for each in rig.car.packets]
         again.wait(is_used, 'hoist arrives')
+        rig.wait_beats(0.2)
+        count = len(rig.car.packets)
+        command.publish(Header(stamp=rospy.Time.from_sec(time.time() - 1.0)), 0.0, 0.0)
+        rig.wait_beats(AFTER)
+        rig.row(STAMPED).check(type_ not in [each.type for each in rig.car.packets[count:]],
+                               'an old hoist arrived')
         again.wait(lambda: is_published(9), 'gauge: the value after that')
         subscriber.unregister()
         command.unregister()
     _announce(rig, *codec.announcement(_HOIST % type_, 50))
     required.wait(lambda: ('0', f'{NODE}/gauge') not in _registered()
                   and _announced() == {'hoist': type_}, 'gauge is gone', 10.0)
+    required.wait(lambda: not rig.next_report('arduino')[2]['firmware'], 'no name any more', 10.0)
+    unknown = unknown_types(rig)
+    required.wait(lambda: rig.car.write(codec.arduino_packet(type_ + 1, b'\1'))
+                  and unknown_types(rig) > unknown, 'the type of gauge is unknown', 10.0)
+
+
+def announcement_of_sensors(rig: Rig) -> None:
+    """The sensor board announces a row; another one, which announces nothing, takes its place."""
+    required = rig.row('the rows of the last whole text are in use, no others')
+    again = rig.row('no command and no value after a reconnect, until announced again')
+    values: List[int] = []
+    subscriber = rospy.Subscriber('/mcu/level_0', UInt8, lambda m: values.append(m.data))
+
+    def announce() -> None:
+        for chunk in codec.announcement(_LEVELS, 50):
+            rig.sensors.write(rig.sensors.frame(codec.ANNOUNCEMENT, chunk))
+
+    def is_published(value: int) -> bool:
+        rig.sensors.write(rig.sensors.frame(_LEVEL, bytes((value,))))
+        rig.wait_beats(0.05)
+        return value in values
+    announce()
+    required.wait(lambda: is_published(7), 'its value is published')
+    required.wait(lambda: ('0', '/mcu/level_15') in _registered(), 'the last row is in use', 10.0)
+    rig.mcu_line.unplug()
+    rig.mcu_line.plug()
+    rig.wait_for_data('mcu/cliff', rig.sensors.cliff, again)
+    again.check(not is_published(8), 'level_0: a value was published')
+    announce()
+    again.wait(lambda: is_published(9), 'level_0: the value after that')
+    subscriber.unregister()
+
+
+def announced_setting(rig: Rig) -> None:
+    """The car announces a setting, which is set; another car, which has none, takes its place."""
+    again = rig.row('no command and no value after a reconnect, until announced again')
+    chunks = codec.announcement(b'trim: {setting: 9, layout: <H}', 50)
+
+    def sent(since: int = 0) -> bool:
+        return codec.SETTING in [each.type for each in rig.car.packets[since:]]
+    _announce(rig, *chunks)
+    rig.row('at the start the wanted settings are sent, others are only shown').wait(
+        sent, 'the trim of the parameters', 10.0)
+    service = f'{NODE}/settings/arduino/set_parameters'
+    rospy.wait_for_service(service, 10.0)
+    rospy.ServiceProxy(service, Reconfigure)(Config(ints=[IntParameter('trim', 5)]))
+    again.wait(sent, 'it is sent')
+    rig.car_line.unplug()
+    since = len(rig.car.packets)
+    rig.car_line.plug()
+    rig.wait(lambda: rig.car.beats, 'heartbeats')
+    rig.wait_beats(AFTER)
+    again.check(not sent(since), 'sent to a board that has not announced it')
+    _announce(rig, *chunks)
+    again.wait(lambda: sent(since), 'it is sent again')
+    _announce(rig, *codec.announcement(_HOIST % 70, 50))
+    again.wait(lambda: _announced() == {'hoist': 70}, 'it is gone', 10.0)
+
+
+def simulated_time(rig: Rig) -> None:
+    """The bridge is started with simulated time, and there is no clock."""
+    rig.end_bridge()
+    rospy.set_param('/use_sim_time', True)
+    try:
+        rig.start()
+    finally:
+        rospy.delete_param('/use_sim_time')
+    for _ in rig.tries(*range(2)):
+        check_timeout(rig, Drive(rig).command())
+    measurements(rig)
+    rig.diagnosed('bus', 0, 'ready')
+    for link in rig.lines:
+        number = rig.next_report(link)[2]['reconnects']
+        rig.row('the counters in /diagnostics are exact').check(
+            number == '0', f'{link}: {number} reconnects of a port that was opened once')
 
 
 def _announce(rig: Rig, *chunks: bytes) -> None:
@@ -232,7 +379,8 @@ def _announce(rig: Rig, *chunks: bytes) -> None:
 def _announced() -> Dict[str, int]:
     """The types of the rows in use."""
     rows = rospy.get_param(NODE + '/arduino/announced', {})
-    return {name: row['type'] for name, row in rows.items()}
+    return {name: row['type'] for name, row in rows.items() if 'type' in row}
 
 
-SERIAL = second_bridge, suspended_subscriber, new_master, announcements
+SERIAL = second_bridge, mistakes, suspended_subscriber, new_master, new_master, announcements, \
+    announced_setting, announcement_of_sensors

@@ -1,6 +1,7 @@
 """Settings, exactly: of a car that loses requests and answers, is reset, and calibrates."""
 import itertools
 import json
+import math
 import struct
 import threading
 import time
@@ -11,11 +12,13 @@ from dynamic_reconfigure.msg import Config, DoubleParameter, IntParameter
 from dynamic_reconfigure.srv import Reconfigure
 
 import by_definition as codec
+from . import exact_node
 from .boards import Packet
-from .rig import SPEED_TIMEOUT, Rig
+from .exact_car import CALIBRATION_TIMEOUT, STOPS, check_timeout
+from .exact_data import REPORTED
+from .rig import Rig
 from .robot import NODE
 
-_SETTING = 253
 _LAYOUTS = {1: '<f', 2: '<H'}
 _DEFAULTS = {1: 1.0, 2: 100}
 _MOST_USED = {1: 8.0, 2: 1000}     # the board limits them
@@ -25,12 +28,11 @@ START = 2.5
 PARAMETERS: Dict[str, Any] = {'arduino/settings': json.dumps({
     'gain': {'setting': 1, 'layout': '<f', 'minimum': 0.0, 'maximum': 10.0},
     'ramp': {'setting': 2, 'layout': '<H'}}),
-    'mcu/settings': json.dumps({'filter': {'setting': 1, 'layout': '<H'}}),
-    'settings/arduino/gain': START}
+    'mcu/settings': json.dumps({'filter': {'setting': 1, 'layout': '<I'}}), 'mcu/timeout': 0.4,
+    'settings/arduino/gain': START, 'arduino/calibration_timeout': CALIBRATION_TIMEOUT}
 _BACK = 1.0             # s
 _MOST = 20              # frames with settings in a second
-_WINDOW = 0.9           # s; a packet may be read so much later than another that it seems nearer
-_STOP_DELAY = 0.05      # s that SPEED 0 may be sent later than speed_timeout
+_WINDOW = 1.0           # s
 _IN_USE = 'a setting told as confirmed is in use at the board'
 _NONE = 'no setting to a board without rows, or while it calibrates'
 
@@ -53,7 +55,7 @@ class _Tunable:
 
     def _on_packet(self, packet: Packet) -> None:
         self._car.packets.append(packet)
-        number = packet.data[0] if packet.type == _SETTING else 0
+        number = packet.data[0] if packet.type == codec.SETTING else 0
         if number in _LAYOUTS and not self._is_lost():
             value, = struct.unpack(_LAYOUTS[number], packet.data[1:])
             self.values[number] = min(value, _MOST_USED[number])
@@ -66,7 +68,7 @@ class _Tunable:
     def report(self, number: int) -> None:
         """Send the value of a setting."""
         self._car.write(codec.arduino_packet(
-            _SETTING, bytes((number,)) + struct.pack(_LAYOUTS[number], self.values[number])))
+            codec.SETTING, bytes((number,)) + struct.pack(_LAYOUTS[number], self.values[number])))
 
     def reset(self) -> None:
         """The board starts again with its defaults, and reports one of them."""
@@ -82,8 +84,8 @@ class _Tunable:
 def _set(link: str = 'arduino', **values: float) -> Dict[str, float]:
     """Set these; return what the bridge answers."""
     config = rospy.ServiceProxy(f'{NODE}/settings/{link}/set_parameters', Reconfigure)(Config(
-        doubles=[DoubleParameter(name, value) for name, value in values.items() if name == 'gain'],
-        ints=[IntParameter(name, value) for name, value in values.items() if name != 'gain'],
+        doubles=[DoubleParameter(name, value) for name, value in values.items() if name != 'ramp'],
+        ints=[IntParameter(name, value) for name, value in values.items() if name == 'ramp'],
     )).config
     return {each.name: each.value for each in (*config.doubles, *config.ints)}
 
@@ -108,6 +110,8 @@ def confirmed(rig: Rig) -> None:
         required.wait(lambda: _set(gain=99.0)['gain'] == _MOST_USED[1], "the board's limit is told")
         required.wait(lambda: rospy.get_param(f'{NODE}/settings/arduino')
                       == {'gain': _MOST_USED[1], 'ramp': 42}, 'the parameters', 10.0)
+        required.wait(lambda: _set(gain=1.0, ramp=5000) == {'gain': 1.0, 'ramp': _MOST_USED[2]},
+                      "the board's limit is told beside another setting")
 
 
 def resets(rig: Rig) -> None:
@@ -144,7 +148,7 @@ def calibrates(rig: Rig) -> None:
             rig.wait_beats(0.1)
             _set(gain=gain)
             rig.wait_beats(2.2)
-            sent = [packet for packet in rig.car.packets if packet.type == _SETTING]
+            sent = [packet for packet in rig.car.packets if packet.type == codec.SETTING]
             required.check(not sent, f'{sent[:2]} were sent during it')
             rig.car.measure()
             required.wait(lambda gain=gain: car.values[1] == gain, 'it is sent afterwards')
@@ -154,7 +158,7 @@ def calibrates(rig: Rig) -> None:
 def dragged(rig: Rig) -> None:
     """A slider is dragged: each value is set as soon as the one before is answered."""
     limited = rig.row('at most 20 frames with settings in any second')
-    in_time = rig.row('SPEED 0 within speed_timeout + 50 ms of the last command')
+    in_time = rig.row(STOPS)
     ended = threading.Event()
 
     def drag() -> None:
@@ -170,14 +174,13 @@ def dragged(rig: Rig) -> None:
             for speed in range(301, 306):
                 rig.robot.command('speed', speed)
                 packet = in_time.wait(lambda: rig.car.packet(codec.SPEED, speed), 'the speed')
-                stop = in_time.wait(lambda: rig.car.stop_after(packet), 'SPEED 0')
-                rig.in_time(in_time, packet.t, stop.t, SPEED_TIMEOUT + _STOP_DELAY, 'no stop')
+                check_timeout(rig, packet)
         finally:
             ended.set()
             slider.join()
-    times = [packet.t for packet in rig.car.packets if packet.type == _SETTING]
+    times = [packet.t for packet in rig.car.packets if packet.type == codec.SETTING]
     for first, beyond in zip(times, times[_MOST:]):
-        limited.check(beyond - first > _WINDOW, f'{_MOST + 1} in {beyond - first:.2f} s')
+        rig.in_time(limited, first, beyond, math.inf, f'{_MOST + 1} frames', _WINDOW)
 
 
 def no_rows(rig: Rig) -> None:
@@ -187,7 +190,7 @@ def no_rows(rig: Rig) -> None:
         for number in (1, 2, 1):
             car.report(number)
             rig.wait_beats(0.3)
-        sent = [packet for packet in rig.car.packets if packet.type == _SETTING]
+        sent = [packet for packet in rig.car.packets if packet.type == codec.SETTING]
         required.check(not sent, f'{sent[:2]} were sent')
 
 
@@ -199,7 +202,7 @@ def starts(rig: Rig) -> None:
         car.report(2)
         required.wait(lambda: rig.next_report('arduino')[2]['settings'] == car.text, car.text,
                       10.0)
-        sent = [each.data[0] for each in rig.car.packets if each.type == _SETTING]
+        sent = [each.data[0] for each in rig.car.packets if each.type == codec.SETTING]
         required.check(2 not in sent, 'a ramp that nobody wants was sent')
 
 
@@ -209,15 +212,33 @@ def sensors(rig: Rig) -> None:
     values: List[int] = []
 
     def received(frame: codec.Frame, now: float) -> None:
-        if (frame.type, frame.data[0]) == (_SETTING, 1):
+        if (frame.type, frame.data[0]) == (codec.SETTING, 1):
             values.append(int.from_bytes(frame.data[1:], 'little'))
-            rig.sensors.write(rig.sensors.frame(_SETTING, frame.data))
+            rig.sensors.write(rig.sensors.frame(codec.SETTING, frame.data))
     rig.sensors.received = received
-    for value in 3, 258, 65535:
+    for value in 3, 258, 3_000_000_000:     # the last one fits in no int32
         told = _set('mcu', filter=value)
         required.check(told == {'filter': value} and values[-1:] == [value], f'{told}, {values}')
         required.wait(lambda: rig.next_report('mcu')[2]['settings'] == f'filter={value}',
                       f'/diagnostics: filter={value}', 10.0)
+        required.wait(lambda: rospy.get_param(f'{NODE}/settings/mcu/filter', None) == value,
+                      'the parameter', 10.0)
+    reported, statuses = rig.row(REPORTED), rig.robot.published['mcu/status']
+    ahead = time.time() - time.monotonic()
+    rig.sensors.measure()
+    last = reported.wait(lambda: rig.robot.values('mcu/status'), 'the status')[-1]
+    reported.wait(lambda: statuses[-1] is not last, 'a report')
+    rig.in_time(reported, last.wall - ahead, statuses[-1].wall - ahead, 0.7, 'timeout 0.4', 0.35)
 
 
-SERIAL = starts, sensors, confirmed, resets, calibrates, dragged
+def new_master(rig: Rig) -> None:
+    """Two settings are set, one by one, and then there is another master."""
+    with _Tunable(rig):
+        _set(ramp=77)
+        _set(gain=3.25)
+        rig.row(_IN_USE).wait(lambda: rospy.get_param(f'{NODE}/settings/arduino')
+                              == {'gain': 3.25, 'ramp': 77}, 'the parameters', 10.0)
+        exact_node.new_master(rig)
+
+
+SERIAL = starts, sensors, confirmed, resets, calibrates, dragged, new_master

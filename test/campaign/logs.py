@@ -5,7 +5,7 @@ import re
 import time
 from collections import defaultdict
 from pathlib import Path
-from typing import Callable, Dict, Iterable, List, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Tuple
 
 from .requirements import Requirement
 
@@ -59,6 +59,11 @@ class LogCheck:
             complete = file.read().rpartition(b'\n')[0]
         self._read[path] += len(complete) + bool(complete)
         return complete.decode(errors='replace').splitlines()
+
+    def find(self, pattern: str) -> List[Any]:
+        """What matches in the logs of all bridges until now."""
+        return [found for path in sorted(glob.glob(os.path.join(self.folder, 'bridge_*.log')))
+                for found in re.findall(pattern, Path(path).read_text(errors='replace'))]
 
     def check_events(self, bridges: Iterable[int], patterns: Iterable[str]) -> None:
         """Check that the logs of these bridges have a line for each of these patterns."""

@@ -7,7 +7,7 @@ import tty
 from collections import deque
 from typing import Deque, Tuple
 
-from witness import Witness
+from witness import LATE, Witness
 
 MARGIN = 0.05            # s beside an event in which a late witness excuses it
 STALL = 0.1              # s by which a late witness spoils more than the times of an event
@@ -24,7 +24,7 @@ class Machine:
         priority = _BRIDGE_PRIORITY if self.real_time else 0
         self._witnesses = [Witness(priority, processor, period=_PERIOD)
                            for processor in os.sched_getaffinity(0)]
-        self._held: Deque[Tuple[float, float]] = deque(maxlen=1000)
+        self._held: Deque[Tuple[float, float]] = deque(maxlen=10000)
         threading.Thread(target=self._move_bytes, name='line witness', daemon=True).start()
 
     def late(self, since: float, until: float) -> float:
@@ -39,13 +39,16 @@ class Machine:
 
         The kernel does that in a thread of ordinary priority, for which the bridge waits, too.
         """
-        return self.late(since, until) >= STALL or any(
-            read > since - MARGIN and written < until + MARGIN
-            for written, read in list(self._held))
+        return self.late(since, until) >= STALL or self.held(since, until) >= STALL
+
+    def held(self, since: float, until: float) -> float:
+        """The longest time in s that the kernel took to move a byte in this time."""
+        return max((read - written for written, read in list(self._held)
+                    if read > since - MARGIN and written < until + MARGIN), default=0.0)
 
     def moved(self, written: float, read: float) -> None:
         """Note when a byte was written to a pseudo terminal, and when it was read there."""
-        if read - written >= STALL:
+        if read - written >= LATE:
             self._held.append((written, read))
 
     def _move_bytes(self) -> None:

@@ -1,4 +1,5 @@
 """The requirements that a campaign checks, their results, and the table of them."""
+import json
 import math
 import time
 from pathlib import Path
@@ -52,6 +53,22 @@ class Requirement:
             raise
         self.check(True, '')
         return value
+
+    @property
+    def results(self) -> Tuple[Any, ...]:
+        """What `add` takes in another process."""
+        return (self.checks, self.violations, self.undecided, self.examples, self._violated_at,
+                self._worst, self._unit)
+
+    def add(self, checks: int, violations: int, undecided: int, examples: List[str],
+            violated_at: float, worst: float, unit: str) -> None:
+        """Add the results of another process."""
+        self.checks += checks
+        self.violations += violations
+        self.undecided += undecided
+        self.examples = [*self.examples, *examples][:_EXAMPLES]
+        self._violated_at = min(filter(None, (self._violated_at, violated_at)), default=0.0)
+        self._worst, self._unit = max(self._worst, worst), self._unit or unit
 
     @property
     def worst_case(self) -> str:
@@ -134,6 +151,15 @@ class Table:
         """Forget all later results."""
         for row, before in results.items():
             vars(row).update(before)
+
+    def dump(self) -> str:
+        """Return all results as JSON, for `add` in another process."""
+        return json.dumps([row.results for row in self.rows])
+
+    def add(self, dumped: str) -> None:
+        """Add the results of another process; an empty text has none."""
+        for row, results in zip(self.rows, json.loads(dumped or '[]')):
+            row.add(*results)
 
     @property
     def violated(self) -> List[Requirement]:

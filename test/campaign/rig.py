@@ -14,15 +14,16 @@ from .boards import BEAT_MISSED, CUSTOM, Board, BusBoard, Car, Sensors, Sent
 from .lines import Clock, NetworkLine, SerialLine
 from .logs import LogCheck
 from .machine import MARGIN, Machine
-from .requirements import Requirement, Table
-from .robot import FRAMES, TOPICS, Published, Robot, other_fields
+from .requirements import MAX_WAIT, Requirement, Table
+from .robot import FRAMES, GYRO, PREFIX, TOPICS, Published, Robot, other_fields
 
 REPLY_TIMEOUT = 0.3      # s: parameters of the bridge
 MOTION_TIMEOUT = SPEED_TIMEOUT = 0.5
-MOUNT = 0.1, -0.2, 0.3, 0.0, 0.0, 0.5     # of range_2: x y z, roll pitch yaw
+MOUNT = 0.1, -0.2, 0.3, 0.1, -0.2, 0.5     # of range_2: x y z, roll pitch yaw
 PARAMETERS: Dict[str, Any] = {
     'bus/motion_timeout': MOTION_TIMEOUT, 'bus/reply_timeout': REPLY_TIMEOUT,
     'bus/environment_period': 0.0, 'publish_tf': True, 'mcu/range_2_mount': json.dumps(MOUNT),
+    'frame_prefix': PREFIX, 'arduino/gyro_scale': GYRO,
     **{name: json.dumps(rows) for name, rows in CUSTOM.items()}}
 POLLED_TOPICS = '~depth', '~height', '~environment', '~environment/temperature', \
     '~environment/humidity'
@@ -123,9 +124,12 @@ class Rig(Stage):
         self.wait(lambda: self.robot.call('bus/echo').success, 'the bus board is in step')
 
     def restore(self) -> None:
-        """After a scenario that failed: no children, all lines as before, another bridge."""
+        """After a scenario that failed: a master, no children, lines as before, another bridge."""
         self.child_bridge.send(signal.SIGKILL)
         self.clear()
+        if not self.master_runs:
+            self.start_master()
+            self.robot.register_again()
         self.bus.usual()
         self.car.talks = True
         for line in self.lines.values():
@@ -217,10 +221,16 @@ class Rig(Stage):
         self.car.measure()
         self.sensors.measure()
 
-    def wait_for_data(self, topic: str, measure: Callable[[], None], required: Requirement) -> None:
+    def until_published(self, condition: Callable[[], Any]) -> None:
+        """Wait for all that was sent, but not for ever: the caller finds what is missing."""
+        with contextlib.suppress(StageError):
+            self.wait(condition, '', UNTIL_PUBLISHED)
+
+    def wait_for_data(self, topic: str, measure: Callable[[], None], required: Requirement,
+                      seconds: float = MAX_WAIT) -> None:
         count = len(self.robot.published[topic])
-        required.wait(lambda: measure() or self.wait_beats(0.02)
-                      or len(self.robot.published[topic]) > count, f'{topic} is published')
+        required.wait(lambda: measure() or self.wait_beats(0.02) or len(
+            self.robot.published[topic]) > count, f'{topic} is published', seconds)
 
     def next_report(self, link: str) -> Tuple[int, str, Dict[str, str]]:
         """Level, message and values of the next status of a link in /diagnostics."""
@@ -252,9 +262,8 @@ class Rig(Stage):
         """Compare what these boards sent since `settle` with what was published, and its stamps."""
         sent = {topic: [each for board in boards for each in board.sent if each.topic == topic]
                 for topic in TOPICS}
-        with contextlib.suppress(StageError):
-            self.wait(lambda: all(len(self.robot.values(topic)) >= len(sent[topic])
-                                  for topic in TOPICS), '', UNTIL_PUBLISHED)
+        self.until_published(lambda: all(
+            len(self.robot.values(topic)) >= len(sent[topic]) for topic in TOPICS))
         for topic in TOPICS:
             self._compare(topic, sent[topic])
 

@@ -1,16 +1,18 @@
 """The robot's side: publishes commands, subscribes and calls. One ROS node in this process."""
+import contextlib
 import math
 import operator
 import time
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Union
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Odometry
 from rospy.impl.registration import Registration, get_registration_listeners
 from sensor_msgs.msg import Imu, MagneticField, Range, RelativeHumidity, Temperature
-from std_msgs.msg import Bool, String, UInt8MultiArray, UInt16, UInt32
+from std_msgs.msg import Bool, Float32MultiArray, String, UInt8MultiArray, UInt16, UInt32
 from std_srvs.srv import Empty, Trigger
 from tf2_msgs.msg import TFMessage
 
@@ -24,11 +26,13 @@ from .requirements import MAX_WAIT, Requirement
 NODE = '/serial_communication'
 _OF_POLLS = f'{NODE}/depth', f'{NODE}/height'
 TIMEOUT, NOT_SENT = 254, 253     # status of the bus services
-_GYRO = 4000 / 65536 * math.pi / 180 * 25
+PREFIX = 'r_'           # of all frames: a parameter
+GYRO = 2000 / 65536 * math.pi / 180 * 25       # rad/s: a parameter, half of its default
 _ACCELERATION = 8 / 65536 * 9.81
 SERVICES = {'lift': Lift, 'gimbal': Gimbal, 'bus/request': BusRequest, 'press': Lift,
-            'probe': Trigger, 'get_environment': GetEnvironment, 'bus/echo': Trigger,
-            'bus/sync': Trigger, 'calibrate_imu': Empty, 'halt': Trigger, 'pump': Trigger,
+            'probe': Trigger, 'quick': Trigger, 'get_environment': GetEnvironment,
+            'bus/echo': Trigger, 'bus/sync': Trigger, 'calibrate_imu': Empty, 'halt': Trigger,
+            'pump': Trigger,
             **{f'{link}/{name}': kind for link in ('bus', 'arduino', 'mcu')
                for name, kind in (('release', Release), ('reset', Trigger))}}
 
@@ -75,7 +79,7 @@ class Outcome(NamedTuple):
 def _imu(message: Imu) -> Tuple:
     q, w, a = message.orientation, message.angular_velocity, message.linear_acceleration
     return tuple(wire_number(each) for each in (
-        q.w * 16384, -q.y * 16384, q.x * 16384, q.z * 16384, -w.y / _GYRO, w.x / _GYRO, w.z / _GYRO,
+        q.w * 16384, -q.y * 16384, q.x * 16384, q.z * 16384, -w.y / GYRO, w.x / GYRO, w.z / GYRO,
         -a.y / _ACCELERATION, a.x / _ACCELERATION, a.z / _ACCELERATION))
 
 
@@ -121,6 +125,15 @@ def _field(message: MagneticField) -> Tuple:
             wire_number(z))
 
 
+def _place(message: Odometry) -> Tuple:
+    at, q = message.pose.pose.position, message.pose.pose.orientation
+    return wire_number(at.x * 1000), wire_number(at.y * 1000), _yaw(q)
+
+
+def _yaw(q: Any) -> Any:
+    return wire_number(2e4 * math.atan2(q.z, q.w))
+
+
 ToKey = Callable[[Any], Any]
 _VALUE, _DATA = operator.attrgetter('value'), operator.attrgetter('data')
 TOPICS: Dict[str, Tuple[Any, ToKey]] = {
@@ -139,6 +152,9 @@ TOPICS: Dict[str, Tuple[Any, ToKey]] = {
     'mcu/imu': (Imu, lambda m: _attitude(m.orientation)),
     'tf/imu_orientation': (None, lambda q: unit_key((q.w, -q.y, q.x, q.z))),
     'tf/mcu_imu_orientation': (None, _attitude),
+    '~place': (Odometry, _place), 'tf/place': (None, _yaw),
+    '~scan': (Float32MultiArray, lambda m: tuple(
+        None if math.isnan(each) else wire_number(each * 2) for each in m.data)),
     '~depth': (UInt32, _DATA), '~height': (UInt32, _DATA)}
 
 
@@ -184,10 +200,12 @@ def other_fields(topic: str, message: Any) -> str:
     return '' if holds else f'{topic} has {found}, not {wanted}'
 
 
-FRAMES = {'~imu': 'imu', '~field': 'magnet', '~imu/temperature': 'imu', 'mcu/imu': 'mcu_imu',
-          'tf/imu_orientation': 'imu', 'tf/mcu_imu_orientation': 'mcu_imu',
-          'mcu/range_1': 'range_1', 'mcu/range_2': 'range_2', '~environment': 'base_link',
-          '~environment/temperature': 'base_link', '~environment/humidity': 'base_link'}
+FRAMES = {topic: PREFIX + frame for topic, frame in {
+    '~imu': 'imu', '~field': 'magnet', '~imu/temperature': 'imu', 'mcu/imu': 'mcu_imu',
+    'tf/imu_orientation': 'imu', 'tf/mcu_imu_orientation': 'mcu_imu', '~place': 'odom',
+    'tf/place': 'odom', 'mcu/range_1': 'range_1', 'mcu/range_2': 'range_2',
+    '~environment': 'base_link', '~environment/temperature': 'base_link',
+    '~environment/humidity': 'base_link'}.items()}
 # The commands: class of the message, and its field.
 COMMANDS: Dict[str, Tuple[Any, str]] = {
     'speed': (SpeedPWMCommand, 'value'), 'steering': (SteeringPWMCommand, 'value'),
@@ -223,21 +241,43 @@ class Robot:
                         log_level=rospy.FATAL)
         self.published: Dict[str, List[Published]] = {topic: [] for topic in TOPICS}
         self.reports: Dict[str, Tuple[float, int, str, Dict[str, str]]] = {}    # of /diagnostics
-        self.mounts: Dict[str, Tuple] = {}      # in /tf_static: parent, place and w, z by frame
+        self.report_times: List[float] = []     # of those of the sensor board
+        self.mounts: Dict[str, Tuple] = {}      # in /tf_static: parent, place and rotation by frame
         self.on_message: Callable[[str, Published], None] = self.keep
         self._pool = ThreadPoolExecutor(32)
         self._publishers = publishers()
-        self._subscribers = [
-            *(rospy.Subscriber(topic.replace('~', NODE + '/'), kind, self._receive,
-                               (topic, to_key), tcp_nodelay=True)
-              for topic, (kind, to_key) in TOPICS.items() if kind),
-            rospy.Subscriber('/tf', TFMessage, self._receive_transforms, tcp_nodelay=True),
+        self._subscribers = self._subscribe()
+
+    def _subscribe(self) -> List[rospy.Subscriber]:
+        return [
+            *(self._subscribe_to(topic) for topic, (kind, _to_key) in TOPICS.items() if kind),
+            self._subscribe_to('tf/'),
             rospy.Subscriber('/tf_static', TFMessage, self._receive_mounts, tcp_nodelay=True),
             rospy.Subscriber('/diagnostics', DiagnosticArray, self._receive_report)]
+
+    def _subscribe_to(self, topic: str) -> rospy.Subscriber:
+        if topic.startswith('tf/'):
+            return rospy.Subscriber('/tf', TFMessage, self._receive_transforms, tcp_nodelay=True)
+        kind, to_key = TOPICS[topic]
+        return rospy.Subscriber(topic.replace('~', NODE + '/'), kind, self._receive,
+                                (topic, to_key), tcp_nodelay=True)
+
+    @contextlib.contextmanager
+    def only(self, topic: str) -> Iterator[None]:
+        """Subscribe to nothing but this topic meanwhile."""
+        for each in self._subscribers:
+            each.unregister()
+        self._subscribers = [self._subscribe_to(topic)]
+        try:
+            yield
+        finally:
+            self._subscribers[0].unregister()
+            self._subscribers = self._subscribe()
 
     def clear_records(self) -> None:
         for messages in self.published.values():
             messages.clear()
+        self.report_times.clear()
 
     def has(self, sent: Sent) -> bool:
         return any(each.key == sent.key and (not each.stamp or each.stamp >= sent.wall)
@@ -259,17 +299,20 @@ class Robot:
 
     def _receive_transforms(self, message: TFMessage) -> None:
         for each in message.transforms:
-            topic, rotation = f'tf/{each.child_frame_id}', each.transform.rotation
+            topic = 'tf/' + each.child_frame_id[len(PREFIX):]
+            rotation = each.transform.rotation
             self.on_message(topic, Published(time.time(), each.header.stamp.to_sec(),
                                              TOPICS[topic][1](rotation), each))
 
     def _receive_mounts(self, message: TFMessage) -> None:
         for each in message.transforms:
             at, turn = each.transform.translation, each.transform.rotation
-            self.mounts[each.child_frame_id] = (each.header.frame_id, *(
-                round(number, 6) for number in (at.x, at.y, at.z, turn.w, turn.z)))
+            self.mounts[each.child_frame_id] = (each.header.frame_id, *(round(
+                number, 6) for number in (at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w)))
 
     def _receive_report(self, message: DiagnosticArray) -> None:
+        if 'mcu' in message.status[0].name:
+            self.report_times.append(time.monotonic())
         for status in message.status:
             self.reports[status.name.split(': ')[-1].split(' ')[0]] = (
                 time.monotonic(), int(status.level), status.message,

@@ -98,6 +98,18 @@ def test_a_scenario_that_the_machine_spoiled_is_tried_again(stalls, results, tri
     assert row.checks == 1
 
 
+def test_results_of_two_processes_are_added(table, row):
+    other = Table()
+    other.row(row.text).at_most(3.0, 2.0, 's', 'too late')
+    other.row(row.text).undecided += 1
+    for _process in range(2):
+        table.add(other.dump())
+    table.add('')       # a process that has ended early
+    assert (row.checks, row.violations, row.undecided) == (6, 2, 2)
+    assert row.worst_case == '3 s' and table.violated == [row] and '0.0 s' in row.failure
+    assert row.examples == 2 * ['too late: 3 s, limit 2 s']
+
+
 def test_the_storm_has_its_own_checks_and_least_numbers():
     table, text = Table(), 'outcome done: executed exactly once'
     table.row(text).check(True, '')

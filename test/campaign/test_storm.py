@@ -209,6 +209,16 @@ def test_published_values(rig, published, violated):
     assert Values(rig, 3).publish(*published) == violated
 
 
+@pytest.mark.parametrize('topic, before, violated', [
+    ('~height', True, False), ('~height', False, True), ('~counter', True, True)])
+def test_a_polled_value_from_before_the_storm(rig, topic, before, violated):
+    check = storm_checks.ValueCheck(rig)
+    check.sent([(topic, 8)], True)
+    for number in (7, 8) if before else (8, 7):
+        check.published(topic, Published(0.0, 0.0, number, None))
+    assert rig.violated == [CORRECT] * violated
+
+
 def test_a_value_that_need_not_be_published(rig):
     assert Values(rig, 3, must=False).publish(0, 2) == []
 

@@ -27,7 +27,8 @@ class Writes:
     """Notes when a program writes to a device, or to the other end of a connection."""
 
     def __init__(self) -> None:
-        self._inotify, self._epoll, self._watched = _LIBC.inotify_init1(0), select.epoll(), 0
+        self._inotify, self._epoll = _LIBC.inotify_init1(0), select.epoll()
+        self._watched, self._since = 0, 0.0
         self._epoll.register(self._inotify, select.EPOLLIN)
         self._times, end = os.pipe()
         os.set_blocking(self._times, False)
@@ -43,8 +44,9 @@ class Writes:
 
     def watch_connection(self, fd: int) -> None:
         """From now on return the arrivals on this connection only; until it is closed."""
+        # The connection before may have had the same descriptor.
+        self._watched, self._since = fd, time.monotonic()
         self._epoll.register(fd, select.EPOLLIN | select.EPOLLET)      # once for each arrival
-        self._watched = fd
 
     def next(self, seconds: float = 0.0) -> List[float]:
         """The times, by `time.monotonic`, that were noted since the last call; waits so long for
@@ -52,7 +54,7 @@ class Writes:
         select.select([self._times], [], [], seconds)
         with contextlib.suppress(BlockingIOError):
             return [at for watch, at in _RECORD.iter_unpack(os.read(self._times, 1 << 16))
-                    if watch == self._watched]
+                    if watch == self._watched and at >= self._since]
         return []
 
 

@@ -140,13 +140,18 @@ def drive_until(car, speed, condition, seconds=5):
     car.board.wait_until(step, seconds)
 
 
+def board_times(packets):
+    """The times in s of the board's clock that are among these packets of the car."""
+    return [struct.unpack('<I', data[:4])[0] * 1e-6 for kind, data in packets if kind == TIME]
+
+
 def comes_at(car, kind, rate):
     """Whether so many packets of that kind come in a second of the board's clock, within 5 %."""
     car.next(kind, rate + 1)
     kinds = [each for each, _ in car.packets]
     first, last = kinds.index(TIME), len(kinds) - 1 - kinds[::-1].index(TIME)
-    start, end = (struct.unpack('<I', car.packets[at][1][:4])[0] for at in (first, last))
-    return kinds[first:last].count(kind) * 1e6 / (end - start) == pytest.approx(rate, rel=0.05)
+    times = board_times(car.packets)
+    return kinds[first:last].count(kind) / (times[-1] - times[0]) == pytest.approx(rate, rel=0.05)
 
 
 def takes(board, action, seconds):

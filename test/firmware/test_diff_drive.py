@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from board_ends import CMD_VEL, ERROR, HEARTBEAT, ODOM, TIME, comes_at, packet
+from board_ends import CMD_VEL, ERROR, HEARTBEAT, ODOM, TIME, board_times, comes_at, packet
 from driven_base import base_end, cmd_vel
 from waiting import again_if_stalled
 
@@ -100,9 +100,9 @@ def test_odometry_comes_50_times_a_second_each_with_its_time(base):
     assert comes_at(base, ODOM, 50)
     kinds = [kind for kind, _ in base.packets if kind in (ODOM, TIME)]
     assert set(zip(kinds[::2], kinds[1::2])) in ({(TIME, ODOM)}, {(ODOM, TIME)})
-    times = [struct.unpack('<I', data[:4])[0] for kind, data in base.packets if kind == TIME]
+    times = board_times(base.packets)
     for first, second in zip(times, times[1:]):
-        assert second - first == pytest.approx(20000, abs=1500)
+        assert second - first == pytest.approx(0.02, abs=0.0015)
 
 
 def off_after(base, stop):
@@ -161,6 +161,10 @@ def test_a_command_of_0_turns_both_off_at_once(base):
 def test_a_bridge_is_off_before_its_motor_changes_direction(base):
     for ahead in 0.3, -0.3, 0.3:
         drives_at(base, ahead, 0.0, ahead, ahead)
+    for ahead in 8 * (-0.3, 0.3):       # at any time of a period, with a stop between them
+        base.write(cmd_vel(0.0, 0.0))
+        end = base.board.time + 0.093
+        base.drive_until(lambda end=end: base.board.time > end, ahead)
     for wheel in WHEELS:
         history = base.board.history(wheel + '_inputs')
         assert {inputs for _, inputs in history} == {0, 1, 2}

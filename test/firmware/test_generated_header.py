@@ -86,7 +86,9 @@ def test_a_sketch_has_the_settings_of_a_configuration(tmp_path, chip):
     (tmp_path / 'robot.yaml').write_text('''
         arduino: {settings: {
             kp: {setting: 1, layout: "<f", minimum: 0, maximum: 10, description: "a \\"gain\\"?"},
-            period: {setting: 2, layout: "<I", minimum: 5}, inverted: {setting: 3, layout: "<?"}}}
+            period: {setting: 2, layout: "<I", minimum: 5}, inverted: {setting: 3, layout: "<?"},
+            delay: {setting: 4, layout: "<H"}, map: {setting: 5, layout: "<H"},
+            round: {setting: 6, layout: "<f"}}}
         settings: {arduino: {period: 20}}''')
     make_header(tmp_path, 'robot', tmp_path / 'robot.yaml')
     (tmp_path / 'sketch.cpp').write_text('''
@@ -98,7 +100,7 @@ def test_a_sketch_has_the_settings_of_a_configuration(tmp_path, chip):
         void setup() {
           bridge.announce(kAnnouncement);
           bridge.settings(kSettings);
-          kp = period * 0.5f;
+          kp = period * 0.5f + delay_setting + map_setting + round_setting;
         }
         void loop() { bridge.update(); }''')
     check(CHIPS[chip], tmp_path / 'sketch.cpp', '-I', str(tmp_path))

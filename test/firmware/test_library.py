@@ -9,6 +9,7 @@ import subprocess
 
 import pytest
 
+from serial_communication.tools.header import cpp
 from emulated_board import FIRMWARE
 from compilers import (CORE, HERE, ON_THE_AVR, ON_THE_ESP, PROTOCOL, STRICT, STUBS,
                        check)
@@ -220,6 +221,12 @@ def keywords():
              if line and not line.startswith('#')]
     assert all(re.match(r'\w+\t(KEYWORD[12]|LITERAL1)$', line) for line in lines)
     return [line.split('\t')[0] for line in lines]
+
+
+def test_no_row_gets_the_name_of_a_class_of_the_library():
+    classes = {line.split('\t')[0] for line in read(LIBRARY + '/keywords.txt').splitlines()
+               if line.endswith('\tKEYWORD1')} - {'PACKED'}
+    assert classes <= cpp._CLASSES
 
 
 def test_keywords_are_in_the_headers():

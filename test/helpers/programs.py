@@ -1,8 +1,33 @@
 """Starts programs for a test, ends them with it, and finds what is left of them."""
 import contextlib
+import os
 import random
 import socket
+import tempfile
 from pathlib import Path
+
+
+class Output:
+    """A temporary file into which programs print.
+
+    They and this process share the place in the file at which the next read or write happens. So
+    what they have printed is read without it: else a line that is printed meanwhile overwrites
+    another one.
+    """
+
+    def __init__(self):
+        self._file = tempfile.TemporaryFile()
+
+    def fileno(self):
+        return self._file.fileno()
+
+    def close(self):
+        self._file.close()
+
+    def text(self):
+        """What they have printed so far."""
+        size = os.fstat(self.fileno()).st_size
+        return os.pread(self.fileno(), size, 0).decode(errors='replace')
 
 
 def started(make):
@@ -12,8 +37,8 @@ def started(make):
     """
     begun = []
 
-    def begin(*arguments):
-        begun.append(make(*arguments))
+    def begin(*arguments, **options):
+        begun.append(make(*arguments, **options))
         return begun[-1]
 
     yield begin

@@ -5,13 +5,14 @@ import os
 import socket
 import threading
 import time
+from functools import partial
 
 import pytest
 from fake_boards import PATIENCE, BusBoard, until
 from lines import Line
 from waiting import Waiter
 
-from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.link.connection import PortState
 from serial_communication.link.outcome import NOT_SENT
 from serial_communication.link.stall import AFTER_STALL, STALL, StallWatch
@@ -47,15 +48,17 @@ def is_dropping(link):
 
 
 class Clock:
-    """Replaces the clock of the links; it can jump and stop."""
+    """Replaces the clock of the links. Once a test has let it jump, it stands.
+
+    So no stall of this machine counts.
+    """
 
     def __init__(self):
         self._real = pace.clock
-        self._ahead = 0.0
         self._stopped_at = None
 
     def __call__(self):
-        return self._real() + self._ahead if self._stopped_at is None else self._stopped_at
+        return self._real() if self._stopped_at is None else self._stopped_at
 
     def begin_stall(self, link, seconds):
         """Let the link's thread wake from a stall; it drops what it reads until `end`."""
@@ -71,13 +74,13 @@ class Clock:
     def wait_for(self, link):
         until(lambda: link.connection.stalls.awake_at == self._stopped_at)
 
+    def pass_until(self, link, condition):
+        """Let time pass in steps that are no stalls, until `condition()`."""
+        until(condition, doing=lambda: self.pass_time(link, STALL / 2))
+
     def end(self, link):
-        """Let time pass, in steps that are no stalls, until nothing is dropped."""
-        while is_dropping(link):
-            self.pass_time(link, STALL / 2)
-        self._ahead = self._stopped_at - self._real()
-        self._stopped_at = None
-        until(lambda: not is_dropping(link))
+        """Let time pass until nothing is dropped."""
+        self.pass_until(link, lambda: not is_dropping(link))
 
 
 @pytest.fixture
@@ -156,9 +159,12 @@ def test_the_hook_stalled_is_called_before_a_frame_is_received(sensor, send, clo
     send(2)
 
 
-@pytest.mark.parametrize('kind, openings', [(ArduinoLink, 2), (McuLink, 2), (BusLink, 1)])
+@pytest.mark.parametrize('kind, openings', [
+    (partial(ArduinoLink, settings=ArduinoSettings(network_silence=0.0)), 2),
+    (partial(McuLink, network_silence=0.0), 2), (BusLink, 1)], ids=('arduino', 'mcu', 'bus'))
 def test_a_network_port_is_opened_anew_after_a_stall_unless_the_link_has_fences(
         kind, openings, server, logger, running, clock):
+    clock._stopped_at = clock()
     link = running(kind(Port('socket://127.0.0.1:%d' % server.getsockname()[1]), logger=logger))
     peers = [server.accept()[0]]
     until(lambda: link.connection.number == 1)
@@ -195,8 +201,7 @@ def held(request, line, tmp_path, running, logger):
     link = running(McuLink(Port(path), timeout=60.0, logger=logger, on_status=on_status))
     link.free, link.got, link.fd = free, got, fd
     until(lambda: link.connection.number)
-    os.write(fd, status(1))
-    until(entered.is_set)
+    until(lambda: os.write(fd, status(1)) and entered.wait(1.0))
     return link
 
 
@@ -253,7 +258,8 @@ def test_tick_is_called_and_stop_works_while_a_backlog_without_end_is_dropped(li
 @pytest.fixture
 def bus_link(line, open_link, running):
     """A link to a bus board, in step; `board` is the board."""
-    link = open_link(BusLink, BusSettings(environment_period=0.0, motion_timeout=PATIENCE))
+    link = open_link(BusLink, BusSettings(environment_period=0.0, reply_timeout=5.0,
+                                          motion_timeout=PATIENCE))
     link.board = running(BusBoard(line))
     until(lambda: link.master.in_step)
     return link
@@ -366,7 +372,7 @@ def test_what_moves_is_not_sent_if_it_was_asked_for_during_a_stall_or_just_after
     clock.end(link)
     assert link.environment()[0].success and link.call(bus.SYNC_FUNCTION, ()).success
     assert link.call(bus.ECHO_FUNCTION, (b'mine',)).success
-    until(lambda: not link.connection.may_be_from_a_stall())
+    clock.pass_until(link, lambda: not link.connection.may_be_from_a_stall())
     for move in moves:
         assert move().success
     assert len(board.moves()) == 3

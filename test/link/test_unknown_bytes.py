@@ -16,6 +16,7 @@ from serial_communication.boards.mcu.link import McuLink
 from serial_communication.framing.stream import FRAMING, invalid_frame
 from serial_communication.link import link as link_module
 from serial_communication.link.link import ERROR, RX, WARN
+from serial_communication.link.presence import SILENCE
 from serial_communication.link.unknown_bytes import OtherBoard, UnknownBytes
 from serial_communication.transport.port import Port
 
@@ -132,10 +133,14 @@ def test_types_that_nobody_knows_are_not_another_baud_rate(
     link = link_of(kind)
     words = (f'messages come, but of unknown types ({types}): no row of the parameters, and none '
              'that the board announces, has them')
+    received = [time.monotonic()]
+    link.tap = lambda *_: received.append(time.monotonic())
     send(line, data, lambda: link.condition(time.monotonic()) == (WARN, f'open, {words}'))
     started_up()
     send(line, data, lambda: lines(words))
-    assert not lines('another baud rate') and not lines('the board is silent')
+    # On a busy machine there may be such a pause.
+    was_silent = max(after - before for before, after in zip(received, received[1:])) > SILENCE
+    assert not lines('another baud rate') and (was_silent or not lines('the board is silent'))
 
 
 @pytest.mark.parametrize('kind, data', [

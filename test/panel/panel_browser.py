@@ -114,8 +114,11 @@ class Browser:
                 return condition(self)
             except StaleElementReferenceException:
                 return False
-        return until(holds, f'{what}; the page is titled {self.title!r}', seconds, doing,
-                     every)
+        try:
+            return until(holds, what, seconds, doing, every)
+        except AssertionError as error:
+            raise AssertionError(f'{error}; the page is titled {self.title!r}, its answers are '
+                                 f'{self.texts(".answers li")}') from None
 
     def wait_for_text(self, selector, text):
         """Wait until the first element that matches has this text."""
@@ -261,6 +264,14 @@ class Browser:
         finally:
             self.driver.close()
             self.driver.switch_to.window(here)
+
+    @contextlib.contextmanager
+    def first_in_documents(self, script):
+        """Documents that this window loads inside this block begin with this script."""
+        added = self.driver.execute_cdp_cmd(
+            'Page.addScriptToEvaluateOnNewDocument', {'source': script})
+        yield
+        self.driver.execute_cdp_cmd('Page.removeScriptToEvaluateOnNewDocument', added)
 
     def click_now(self, selector, count=1):
         """Click the middle of this element at once, whatever its state.

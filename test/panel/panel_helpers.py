@@ -8,7 +8,6 @@ import signal
 import socket
 import struct
 import subprocess
-import tempfile
 import threading
 import time
 import urllib.error
@@ -17,13 +16,16 @@ from collections import deque
 
 import rosgraph
 import rospy
-from boards import (AIR, PATIENCE, BusBoard, CarBoard, Bridge, Line, SensorBoard, again_if_stalled,
-                    level_imu, program, ranges, until)
+from boards import (AIR, PATIENCE, BusBoard, CarBoard, Bridge, Line, Output, SensorBoard,
+                    again_if_stalled, level_imu, program, ranges, until)
 
 from serial_communication.boards.arduino import wire as arduino
 
 NODE = '/serial_communication'
 TOKEN = 'a-token-of-the-tests'
+# Why nothing was sent, if a stall of this machine kept the command back. It may be repeated.
+KEPT_BACK = re.compile('press again|call again|one call at a time|while the bridge stalled|'
+                       'the board does not answer ECHO; nothing was sent')
 GRIPPER = arduino.encode_raw(40, struct.pack('<hhB', -25, 500, 3))     # x -2.5, y 50, z 3
 
 
@@ -157,7 +159,7 @@ class Panel:
 
     def __init__(self, *arguments, port=0, name='panel', environment=None):
         self.node = f'/{name}'
-        self._output = tempfile.TemporaryFile('a+')
+        self._output = Output()
         self.process = subprocess.Popen(
             [program('panel'), *([] if port is None else ['--port', str(port)]), *arguments,
              *([] if name is None else ['__name:=' + name])],
@@ -177,8 +179,7 @@ class Panel:
 
     def output(self):
         """The output so far."""
-        self._output.seek(0)
-        return re.sub('\033\\[[0-9;]*m', '', self._output.read())
+        return re.sub('\033\\[[0-9;]*m', '', self._output.text())
 
     def wait_for(self, words):
         """Wait until it has printed this text."""
@@ -350,8 +351,7 @@ class Page:
         self.until(lambda page: key in page.refusals or page.calls.get(key, {}).get('outcome'),
                    'the answer')
         words = self.refusals.get(key) or self.calls[key]['words']
-        if re.search('press again|call again|one call at a time|while the bridge stalled|'
-                     'the board does not answer ECHO; nothing was sent', words):
+        if KEPT_BACK.search(words):
             time.sleep(0.6)       # or the next one may be a double click
             return None
         assert key in self.calls, words

@@ -1,13 +1,13 @@
 """scripts/demo --panel --control: the page of a demo, at the address that it prints."""
+import contextlib
 import os
 import re
 import signal
 import stat
 import subprocess
-import tempfile
 from pathlib import Path
 
-from boards import until
+from boards import Output, until
 from panel_helpers import Page, free_port, post
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -32,12 +32,11 @@ class PrintedPanel:
 
 
 def test_the_demo_prints_the_address_of_a_page_that_has_commands():
-    with tempfile.TemporaryFile('a+') as output:
+    with contextlib.closing(Output()) as output:
         demo = run(output)
 
         def shown(pattern):
-            output.seek(0)
-            return re.search(pattern, output.read())
+            return re.search(pattern, output.text())
         try:
             address = until(lambda: shown(r'In a browser:  http://127.0.0.1:(\d+)/#(\S+)')
                             or demo.poll() is not None, 'it is printed', 60)
@@ -52,6 +51,7 @@ def test_the_demo_prints_the_address_of_a_page_that_has_commands():
             until(lambda: shown('none; the page has them'), 'the table is shown')
             log = CHECKOUT / 'build' / 'ros' / 'log' / f'demo_{demo.pid}.log'
             assert stat.S_IMODE(log.stat().st_mode) == 0o600
+            until(lambda: 'for another browser: ' in log.read_text(), 'the panel prints the next')
         finally:
             demo.send_signal(signal.SIGINT)
             demo.wait(20)

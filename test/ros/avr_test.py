@@ -9,7 +9,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import tempfile
 import unittest
 from xmlrpc.client import ServerProxy
 
@@ -23,7 +22,7 @@ from std_srvs.srv import Trigger
 
 from avr_boards import OnBoard, until_announced, upward
 from board_ends import angle_between, from_euler
-from boards import (NOT_SENT, PACKAGE, PATIENCE, TIMEOUT, Topic, Waiter, again_if_stalled,
+from boards import (NOT_SENT, Output, PACKAGE, PATIENCE, TIMEOUT, Topic, Waiter, again_if_stalled,
                     command_topic, own_folder, service, until, wait_for_launch)
 from launch_test import SIMULATED_TOPICS
 from serial_communication.msg import McuStatus2, SpeedPWMCommand
@@ -231,7 +230,7 @@ class Launched(unittest.TestCase):
     def setUp(self):
         self.folder = own_folder()
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
-        self.output = tempfile.TemporaryFile('a+')
+        self.output = Output()
         self.addCleanup(self.output.close)
         self.process = subprocess.Popen(
             ['roslaunch', PACKAGE, 'bridge.launch', 'sim:=avr', 'sim_dir:=' + self.folder],
@@ -244,8 +243,7 @@ class Launched(unittest.TestCase):
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
         status = self.process.wait(PATIENCE)
-        self.output.seek(0)
-        return self.output.read(), status
+        return self.output.text(), status
 
     def ask(self, link, line):
         """Send a line to the control channel of a link's board; return the answer."""

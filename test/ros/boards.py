@@ -26,7 +26,7 @@ sys.path.insert(0, os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(
 from fake_boards import (BusBoard, CarBoard, SensorBoard, level_imu, ranges)  # noqa: E402,F401
 from fake_bus import AIR  # noqa: E402,F401
 from lines import Line  # noqa: E402,F401
-from programs import free_master  # noqa: E402
+from programs import Output, free_master  # noqa: E402
 from waiting import PATIENCE, Waiter, again_if_stalled, until  # noqa: E402,F401
 from witness import Witness  # noqa: E402
 
@@ -72,7 +72,7 @@ class Bridge:
         for key, value in (parameters or {}).items():
             server.setParam('/%s/%s' % (name, key), value)
         self.name = name
-        self._output = tempfile.TemporaryFile('a+')     # what is read moves no writer
+        self._output = Output()
         self.process = subprocess.Popen(
             list(before) + [program('serial_communication_node'), '__name:=' + name]
             + list(arguments), stdout=self._output if stdout is None else stdout,
@@ -81,8 +81,7 @@ class Bridge:
 
     def output(self):
         """Its output so far, without colours."""
-        self._output.seek(0)
-        return re.sub('\033\\[[0-9;]*m', '', self._output.read())
+        return re.sub('\033\\[[0-9;]*m', '', self._output.text())
 
     def wait_for(self, words):
         """Wait for a line of its output with `words`, and return the first one.

@@ -1,6 +1,10 @@
 #!/usr/bin/python3
 """Commands that may be old are refused, of every kind: latched long ago, received on an old
-connection, or old by their stamps. The campaign has more of each, with exact counts."""
+connection, or old by their stamps. The campaign has more of each, with exact counts. And what may
+delay a heartbeat."""
+import re
+import signal
+import sys
 import threading
 import unittest
 from unittest import mock
@@ -23,6 +27,15 @@ OWN = {'heater': {'type': 60, 'direction': 'to_board', 'ros_type': 'sensor_msgs/
        'horn': {'type': 61, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt8',
                 'layout': '<B', 'fields': ['data']}}
 HOUR = 3600.0
+# The node, which prints on a signal how many objects a full garbage collection looks at, and how
+# many not.
+COUNTING_NODE = """
+import gc, signal, sys
+from serial_communication.ros.node import main
+signal.signal(signal.SIGUSR1, lambda *_: print(
+    len(gc.get_objects()), 'objects, and', gc.get_freeze_count(), flush=True))
+del sys.argv[1]
+main()"""
 # The topic, an old command and its words in the log, a new command and its packet.
 KINDS = (
     ('speed', SpeedPWMCommand(value=500), 'speed 500', SpeedPWMCommand(value=501),
@@ -124,6 +137,21 @@ class CommandsTest(BoardsTest):
         driver = self.publisher().connected()
         self.assert_drives(driver, 300, ago=HOUR)
         self.assert_drives(driver, 301, ago=-HOUR)
+
+
+class HeartbeatTest(BoardsTest):
+    """A car, and a bridge."""
+
+    def test_a_full_garbage_collection_delays_no_heartbeat(self):
+        """It holds Python's lock, for 24 ms with all that is imported."""
+        car = self.plug('arduino', CarBoard)
+        bridge = self.start_bridge(before=(sys.executable, '-c', COUNTING_NODE), parameters={
+            'arduino/port': self.lines['arduino'].near})
+        until(car.heartbeats, 'a heartbeat')
+        bridge.process.send_signal(signal.SIGUSR1)
+        found = re.match(r'(\d+) objects, and (\d+)', bridge.wait_for(' objects, and '))
+        looked_at, others = map(int, found.groups())
+        self.assertLess(looked_at, others / 10)
 
 
 class WithoutMaster(unittest.TestCase):

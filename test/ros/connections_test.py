@@ -25,7 +25,9 @@ from boards import (PACKAGE, PATIENCE, BoardsTest, CarBoard, Waiter, command_top
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.msg import SpeedPWMCommand, Voltage
 from serial_communication.boards.arduino import wire as arduino
+from serial_communication.ros import traffic
 from serial_communication.ros.rospy_mends import connections, handshake, shortage
+from serial_communication.ros.traffic import Traffic
 
 NAME = '/' + PACKAGE
 MASTER = rosgraph.Master('/connections_test')
@@ -283,6 +285,31 @@ class ConnectedService(unittest.TestCase):
         until(lambda: time.monotonic() - began > 1.5 * patience, 'more time passes')
         answers.set()
         self.assertEqual(call.result(), GetLoggersResponse())
+
+
+class TrafficSubscribers(unittest.TestCase):
+    """Subscribers of serial_msg."""
+
+    def test_two_that_leave_in_the_same_moment_do_not_wait_for_each_other(self):
+        """One of them while rospy's thread holds its lock; else nobody is connected any more."""
+        topic, asks = Traffic([], mock.Mock()), threading.Event()
+        rospys_lock, wanted = topic._topic.impl.c_lock, traffic.wanted
+
+        def other_leaves():
+            with rospys_lock:
+                leaving.append(Waiter(lambda: topic.peer_unsubscribe('/serial_msg', 1)))
+                self.assertTrue(asks.wait(PATIENCE))
+                topic.peer_unsubscribe('/serial_msg', 0)
+
+        def asked(publisher):
+            asks.set()
+            return wanted(publisher)
+
+        leaving = []
+        with mock.patch.object(traffic, 'wanted', asked):
+            leaving.append(Waiter(other_leaves))
+            until(lambda: len(leaving) == 2 and not any(each.is_alive() for each in leaving),
+                  'both have left')
 
 
 class PatientThread(unittest.TestCase):

@@ -4,7 +4,6 @@ import math
 import os
 import signal
 import subprocess
-import tempfile
 import unittest
 from xmlrpc.client import ServerProxy
 
@@ -16,7 +15,7 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
 from avr_boards import ANNOUNCED, EmulatedBoard, build_firmware
-from boards import PACKAGE, PATIENCE, Topic, until
+from boards import Output, PACKAGE, PATIENCE, Topic, until
 from serial_communication.framing.rotation import angles
 
 EVERY = 0.05     # s between two commands, as teleop_twist_keyboard with a key held
@@ -29,7 +28,7 @@ class DiffDriveTest(unittest.TestCase):
     def setUpClass(cls):
         cls.board = EmulatedBoard(build_firmware(), 'diff')
         cls.addClassCleanup(cls.board.close)
-        cls.output = tempfile.TemporaryFile('a+')
+        cls.output = Output()
         cls.launched = subprocess.Popen(
             ['roslaunch', PACKAGE, 'diff_drive.launch', 'port:=' + cls.board.port],
             stdout=cls.output, stderr=subprocess.STDOUT)
@@ -45,8 +44,7 @@ class DiffDriveTest(unittest.TestCase):
     def end(cls):
         cls.launched.send_signal(signal.SIGINT)
         cls.launched.wait(PATIENCE)
-        cls.output.seek(0)
-        text = cls.output.read()
+        text = cls.output.text()
         cls.output.close()
         assert 'Traceback' not in text, text
 

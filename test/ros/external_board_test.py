@@ -6,7 +6,6 @@ import re
 import shutil
 import signal
 import subprocess
-import tempfile
 import unittest
 from math import hypot
 from pathlib import Path
@@ -15,8 +14,8 @@ import rospy
 import rostest
 from geometry_msgs.msg import Vector3Stamped
 
-from boards import (ERROR, OK, PACKAGE, PATIENCE, Diagnostics, Line, Topic, own_folder, program,
-                    until)
+from boards import (ERROR, OK, Output, PACKAGE, PATIENCE, Diagnostics, Line, Topic, own_folder,
+                    program, until)
 from serial_communication.msg import SerialMsg
 
 PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'developing.md'
@@ -30,14 +29,13 @@ class Program:
     """A running program."""
 
     def __init__(self, command, environment):
-        self._output = tempfile.TemporaryFile('a+')
+        self._output = Output()
         self.process = subprocess.Popen([program(command[0]), *command[1:]], env=environment,
                                         stdout=self._output)
 
     def output(self):
         """Its output so far."""
-        self._output.seek(0)
-        return self._output.read()
+        return self._output.text()
 
     def end(self):
         """Send Ctrl-C; return its exit status."""

@@ -6,7 +6,6 @@ import re
 import shutil
 import signal
 import subprocess
-import tempfile
 import time
 import unittest
 from xmlrpc.client import ServerProxy
@@ -17,8 +16,8 @@ import rostest
 from std_msgs.msg import UInt16
 
 from avr_boards import EmulatedBoard, build_firmware
-from boards import (PACKAGE, PATIENCE, Diagnostics, Topic, command_topic, own_folder, until,
-                    wait_for_launch)
+from boards import (Output, PACKAGE, PATIENCE, Diagnostics, Topic, command_topic, own_folder,
+                    until, wait_for_launch)
 from emulated_board import BOOTLOADER
 from serial_communication.msg import SpeedPWMCommand
 
@@ -60,7 +59,7 @@ class Flashing(unittest.TestCase):
         self.assertIn('avr_board arduino --link /tmp/nano --bootloader ' + BOOTLOADER, board)
         self.board = EmulatedBoard(self.build, 'car', bootloader=BOOTLOADER)
         self.addCleanup(self.board.close)
-        self.output = tempfile.TemporaryFile('a+')
+        self.output = Output()
         self.addCleanup(self.output.close)
         self.launched = subprocess.Popen(
             ['bash', '-c', 'exec ' + launch.replace('/tmp/nano', self.board.port)],
@@ -75,8 +74,7 @@ class Flashing(unittest.TestCase):
         if self.launched.poll() is None:
             self.launched.send_signal(signal.SIGINT)
         self.assertEqual(self.launched.wait(PATIENCE), 0)
-        self.output.seek(0)
-        return self.output.read()
+        return self.output.text()
 
     def start(self, line):
         """Start a line of the page."""
@@ -147,10 +145,11 @@ class Flashing(unittest.TestCase):
             until(lambda: self.board.get('rx_bytes') > before + PART, 'it writes', UPLOAD)
             os.kill(bridge if victim == 'bridge' else process.pid if victim == 'release'
                     else self.named(victim, process)[0], signal.SIGKILL)
-            process.wait(UPLOAD)
             if victim == 'bridge':
                 until(lambda: self.bridge_or_0() not in (0, bridge), 'it starts again', UPLOAD)
-            else:
+                process.terminate()     # avrdude, disturbed, once took over 360 s
+            process.wait(UPLOAD)
+            if victim != 'bridge':
                 self.assertNotEqual(process.returncode, 0)
             self.diagnostics.forget()
             until(lambda: any(status.message.startswith('open')

@@ -5,7 +5,6 @@ import re
 import shutil
 import signal
 import subprocess
-import tempfile
 import unittest
 
 import roslaunch
@@ -14,8 +13,8 @@ import rostest
 from sensor_msgs.msg import Imu, Range
 from tf2_msgs.msg import TFMessage
 
-from boards import (PACKAGE, PATIENCE, BusBoard, CarBoard, Diagnostics, Line, SensorBoard, Topic,
-                    command_topic, level_imu, own_folder, ranges, service, settle, until,
+from boards import (Output, PACKAGE, PATIENCE, BusBoard, CarBoard, Diagnostics, Line, SensorBoard,
+                    Topic, command_topic, level_imu, own_folder, ranges, service, settle, until,
                     wait_for_launch)
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand, Ticks,
                                       Voltage)
@@ -89,7 +88,7 @@ class Fleet(unittest.TestCase):
         cls.robots = [Robot(cls.folder, number) for number in NUMBERS]
         path = launch_file(cls.folder, lambda number: [
             (link + '_port', cls.robots[number - 1].lines[link].near) for link in LINKS])
-        cls.output = tempfile.TemporaryFile('a+')
+        cls.output = Output()
         cls.process = subprocess.Popen(['roslaunch', path], stdout=cls.output,
                                        stderr=subprocess.STDOUT)
         for robot in cls.robots:
@@ -172,8 +171,7 @@ class Fleet(unittest.TestCase):
 
     def test_lines_of_the_log_name_their_robot(self):
         def named():
-            self.output.seek(0)
-            return set(re.findall(r'\[INFO\] \[[\d.]+\] (\S+): ', self.output.read()))
+            return set(re.findall(r'\[INFO\] \[[\d.]+\] (\S+): ', self.output.text()))
         until(lambda: {f'/{robot.node}' for robot in self.robots} <= named(), 'each has a line')
 
     def test_simulated_boards_of_several_robots_have_different_ports_and_names(self):

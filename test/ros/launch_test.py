@@ -16,8 +16,8 @@ from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
 from std_msgs.msg import Bool
 from std_srvs.srv import Empty, Trigger
 
-from boards import (NOT_SENT, OK, PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, BusBoard, CarBoard,
-                    Diagnostics, Topic, command_topic, service, until, wait_for_launch)
+from boards import (NOT_SENT, OK, Output, PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, BusBoard,
+                    CarBoard, Diagnostics, Topic, command_topic, service, until, wait_for_launch)
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
                                       SteeringFeedback, Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
@@ -105,15 +105,14 @@ class Launch(BoardsTest):
 
     def launch(self, *arguments):
         """Run roslaunch serial_communication bridge.launch with these arguments; it is up then."""
-        self.output = tempfile.TemporaryFile('a+')
+        self.output = Output()
         self.process = subprocess.Popen(['roslaunch', PACKAGE, 'bridge.launch', *arguments],
                                         stdout=self.output, stderr=subprocess.STDOUT)
         wait_for_launch()
 
     def output_so_far(self):
         """The output of roslaunch and the bridge."""
-        self.output.seek(0)
-        return self.output.read()
+        return self.output.text()
 
     def end(self):
         """Send Ctrl-C; the bridge then logs no warning, even if its boards end first."""

@@ -3,6 +3,7 @@
 node that hangs. parameter_table_test has more mistakes, without processes."""
 import itertools
 import os
+import queue
 import shutil
 import signal
 import subprocess
@@ -19,6 +20,7 @@ import rostest
 from boards import (PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, Bridge, CarBoard, Line,
                     command_topic, own_folder, until)
 from serial_communication.msg import SpeedPWMCommand
+from serial_communication.ros.last_resort import LastResort
 
 ENDS_IN = 2.0        # s from a signal until the node has ended, even if something hangs
 DESCRIPTION = """
@@ -252,6 +254,17 @@ class Ended(BoardsTest):
         rosnode.kill_nodes(['/' + PACKAGE])
         self.assertEqual(self.bridge.process.wait(PATIENCE), 0)
         self.assert_stopped()
+
+
+class LastResortTest(unittest.TestCase):
+    """The forced end of a process that hangs."""
+
+    def test_it_keeps_the_status_of_what_failed(self):
+        ended = queue.SimpleQueue()
+        last_resort = LastResort(0.05, ended.put)
+        last_resort.begin(1)
+        last_resort.begin()     # as rospy does at its shutdown
+        self.assertEqual(ended.get(timeout=PATIENCE), 1)
 
 
 if __name__ == '__main__':

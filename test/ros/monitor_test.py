@@ -4,14 +4,14 @@ import os
 import re
 import signal
 import subprocess
-import tempfile
 import threading
 
 import rosgraph
 import rospy
 import rostest
 
-from boards import (PATIENCE, BoardsTest, BusBoard, CarBoard, Master, level_imu, program, until)
+from boards import (Output, PATIENCE, BoardsTest, BusBoard, CarBoard, Master, level_imu, program,
+                    until)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 
@@ -22,15 +22,14 @@ class Monitor:
     """A monitor that the test starts and ends."""
 
     def __init__(self, *arguments, **environment):
-        self._output = tempfile.TemporaryFile('a+')
+        self._output = Output()
         self.process = subprocess.Popen(
             [program('monitor'), *arguments], env={**os.environ, **environment},
             stdout=self._output, stderr=subprocess.STDOUT)
 
     def output(self):
         """Its output so far."""
-        self._output.seek(0)
-        return self._output.read()
+        return self._output.text()
 
     def wait_for(self, words, times=1):
         """Wait until it has printed these words `times` times."""

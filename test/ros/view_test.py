@@ -18,6 +18,10 @@ from boards import PACKAGE, PATIENCE, Topic, until
 HERE = Path(__file__).resolve().parent
 CONFIG = HERE.parents[1] / 'config' / 'view.rviz'
 
+# Debian's rviz sometimes damages its memory at its start, with a software renderer: it ends with
+# SIGSEGV, or with SIGABRT where malloc finds the damage.
+CRASHES = signal.SIGSEGV.value, signal.SIGABRT.value
+
 
 class View(unittest.TestCase):
     """roslaunch with a virtual display."""
@@ -59,23 +63,23 @@ class View(unittest.TestCase):
         return self.folder / name
 
     def start_again(self):
-        """Start view.launch again if rviz has crashed, and return whether it has.
-
-        Debian's rviz sometimes does at its start, with a software renderer.
-        """
+        """Start view.launch again if rviz has crashed, and return whether it has."""
         if self.launch.poll() is None:
             return False
         self.log.seek(0)
-        self.assertRegex(self.log.read(), r'process \[rviz-\d+\] has died!\s+process has died '
-                                          r'\[pid \d+, exit code -11')
+        died = r'process \[rviz-\d+\] has died!\s+process has died \[pid \d+, exit code -'
+        self.assertRegex(self.log.read(), rf'{died}({"|".join(map(str, CRASHES))}),')
         self.launch = self.start()
         return True
 
     def statuses(self, config, seconds):
         """Whether no display has a problem within this time, and the statuses."""
-        done = subprocess.run(['/usr/bin/python3', str(HERE / 'rviz_statuses.py'), str(config),
-                               str(seconds)], env=self.environment, timeout=seconds + PATIENCE,
-                              stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        for _ in range(3):
+            done = subprocess.run(['/usr/bin/python3', str(HERE / 'rviz_statuses.py'), str(config),
+                                   str(seconds)], env=self.environment, timeout=seconds + PATIENCE,
+                                  stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+            if -done.returncode not in CRASHES:
+                break
         return done.returncode, done.stdout
 
     def test_no_display_has_an_error(self):

@@ -43,6 +43,14 @@ def test_a_process_that_starts_during_ctrl_c_is_ended(tmp_path, monkeypatch):
     assert processes_in(tmp_path) == []
 
 
+def test_what_a_process_has_started_is_killed_with_it(tmp_path):
+    stage = Stage('', str(tmp_path))
+    child = stage.child('shell', ['bash', '-c', 'trap "" TERM; setsid sleep 1000 & sleep 1000'])
+    stage.wait(lambda: processes_in(tmp_path) == ['bash', 'sleep', 'sleep'], 'it has started both')
+    stage.end(child, grace=0.1)
+    assert processes_in(tmp_path) == []
+
+
 def processes_in(folder):
     """Return the names of the processes that run in this folder or below it."""
     found = []

@@ -156,6 +156,20 @@ CMAKE = '''for line in {1..30}; do echo "CMake Error at line $line"; done
 echo "file: No space left on device"; exit 1'''
 
 
+def test_logs_over_a_week_old_are_deleted_whatever_is_beside_them(folder):
+    """A folder is not written any more while the logs in it still grow."""
+    for name in 'old/node.log', 'mixed/old.log', 'mixed/new.log', 'new/node.log':
+        path = folder / 'log' / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    for name in 'old/node.log', 'mixed/old.log', 'old', 'mixed':
+        os.utime(str(folder / 'log' / name), (0, 0))
+    done = run(folder, f'export ROS_LOG_DIR={folder}/log; delete_old_logs; echo done')
+    assert (done.stdout, done.stderr) == ('done\n', '')
+    assert sorted(str(path.relative_to(folder / 'log')) for path in folder.glob('log/*/*')) == [
+        'mixed/new.log', 'new/node.log']
+
+
 def test_a_full_disk_during_the_build_is_one_line(folder):
     program(folder, 'cmake', CMAKE)
     done = run(folder, 'build_inputs() { echo; }; build_if_changed')

@@ -226,6 +226,25 @@ def test_the_announcement_has_no_references_and_names_that_yaml_would_change_are
     assert rows_of(text) == read_parameters(str(path))['arduino']['messages']
 
 
+def test_a_text_of_several_lines_is_announced_in_one(tmp_path):
+    path = tmp_path / 'robot.yaml'
+    path.write_text('''
+arduino:
+  settings:
+    kp:
+      setting: 1
+      layout: "<f"
+      description: >
+        Proportional gain of the
+        speed loop
+    ki: {setting: 2, layout: "<f", description: "with a\\ttab"}
+''')
+    header = made(path)
+    assert {name: row['description'] for name, row in rows_of(announced(tmp_path, header)).items()
+            } == {'kp': 'Proportional gain of the speed loop', 'ki': 'with a tab'}
+    assert 'speed loop\\n' not in header.split('kAnnouncement')[0]
+
+
 def test_macros_name_the_firmware_in_the_first_line_of_the_announcement(tmp_path):
     header = made(EXAMPLES, 'mcu')
     text = announced(tmp_path, header, '-D', 'FIRMWARE_NAME="my_robot"', '-D',
@@ -336,7 +355,7 @@ def test_a_row_with_the_name_of_a_class_of_a_library_gets_another_name(tmp_path)
     row = {'ros_type': 'std_msgs/UInt8', 'layout': '<B', 'fields': ['data']}
     header = made(configuration(tmp_path, {
         name: dict(row, type=40 + number)
-        for number, name in enumerate(('packet_link', 'count', 'servo'))}))
+        for number, name in enumerate(('packet_link', 'count', 'servo', 'rate_limit'))}))
     assert sorted(line.split()[2] for line in header.splitlines()
                   if line.startswith('struct')) == [
-        'CountMessage', 'PacketLinkMessage', 'ServoMessage']
+        'CountMessage', 'PacketLinkMessage', 'RateLimitMessage', 'ServoMessage']

@@ -205,6 +205,9 @@ TENTHS = [tick / 10 for tick in range(100)] + [110.0]
     (1.0, [10.0], 12.9, 13.1),
     (None, range(0, 100, 10), 119.0, 121.0),                # the period is measured
     (None, [0.0], 1000.0, None),                            # one message gives no period
+    (None, [0.0, 3600.0], 3779.0, 3781.0),                  # and a long pause not that one
+    (None, [0.0, 3600.0, 3605.0, 3610.0], 3624.0, 3626.0),
+    (None, [0.0, 3600.0, 3605.0, 3610.0, 3615.0], 3629.0, 3631.0),
     (0.01, [tick / 100 for tick in range(100)], 1.2, 1.4),  # 300 ms at least
     (None, TENTHS, 110.2, 110.5),                           # an outage hardly changes the period
     (None, TENTHS + [110.0 + each for each in range(1, 41)], 152.0, None)])     # a slower board

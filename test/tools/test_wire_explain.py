@@ -176,6 +176,15 @@ def test_zeros_are_noise_except_between_arduino_packets():
     assert run('arduino', '00').stdout == 'only empty packets\n'
 
 
+def test_a_packet_inside_an_invalid_one_is_not_shown_as_valid():
+    """Noise before a packet makes it invalid, though the same packet follows."""
+    ticks = '03 08 02 00 '
+    for before in '05 ' + ticks, '01 ' * 300 + ticks:
+        found = explain.explain(hexed(before + ticks), settings('arduino'), False)
+        assert [each.frame.raw for each in found if not each.trouble] == [hexed(ticks)]
+        assert b''.join(each.frame.raw for each in found)[-4:] == hexed(ticks)
+
+
 def test_long_noise_is_shown_completely():
     assert len(only('mcu', b'\x11' * 3000).frame.raw) == 3000
 

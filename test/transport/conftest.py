@@ -1,7 +1,7 @@
 """The fixtures of every test with a link or a port."""
 import pytest
 from link_fixtures import (every_thread_ends, line, lines, logger, port, running,  # noqa: F401
-                           time_limit)
+                           this_machine_stalls_no_link, time_limit)
 
 from serial_communication.transport.port import Port, PortError
 

@@ -265,14 +265,15 @@ def test_a_scheme_is_the_same_in_any_case(url, lower, scheme):
     assert Port(url).is_network == (scheme in ('socket', 'rfc2217'))
 
 
-def test_ptmx_is_refused_and_makes_no_pseudo_terminal(tmp_path, refusal):
+def test_ptmx_is_refused_and_not_opened(tmp_path, refusal):
+    """Each opening of it would make a pseudo terminal."""
     (tmp_path / 'ptmx').symlink_to('/dev/ptmx')
-    before = set(os.listdir('/dev/pts'))
     for path in '/dev/ptmx', str(tmp_path / 'ptmx'):
-        assert 'makes a new pseudo terminal at each opening' in refusal(path)
-        with pytest.raises(ValueError, match='^' + path + ' makes a new pseudo terminal'):
-            check_url(path)
-    assert set(os.listdir('/dev/pts')) == before
+        with mock.patch('os.open', wraps=os.open) as opened:
+            assert 'makes a new pseudo terminal at each opening' in refusal(path)
+            with pytest.raises(ValueError, match='^' + path + ' makes a new pseudo terminal'):
+                check_url(path)
+        assert path not in [call.args[0] for call in opened.call_args_list]
 
 
 @pytest.mark.parametrize('major, byte_time', [(4, 1e-4), (188, 1e-4), (166, 0.0)])
@@ -449,7 +450,7 @@ def test_rfc2217_passes_bytes_both_ways(rfc2217, line):
     port = Port(rfc2217.url, 57600)
     port.open()
     port.write(b'\xff\x00down')
-    assert line.read_all() == b'\xff\x00down'
+    assert all_of(line.read, 6) == b'\xff\x00down'
     line.write(b'\xff\x00up')
     assert all_of(port.read, 4) == b'\xff\x00up'
     port.close()
@@ -523,18 +524,19 @@ def test_a_vanished_peer_is_detected_within_5_s(connect):
                 port.read(PATIENCE)
         return str(error.value)
 
-    readers = []
-    for writes in False, True:
-        port, peer = connect()
-        # Its kernel drops every packet without an answer: no packet has so high a TTL. Any user may
-        # set IP_MINTTL; a filter (SO_ATTACH_FILTER) needs root on some kernels.
-        peer.setsockopt(socket.IPPROTO_IP, 21, 255)
-        if writes:
-            port.write(b'anybody?')
-        readers.append(Waiter(trouble, port))
-    for reader in readers:
-        assert reader.result() == 'the host does not answer'
-        assert 1.0 < reader.took < 6.0
+    def detected():
+        readers = []
+        for writes in False, True:
+            port, peer = connect()
+            # Its kernel drops every packet without an answer: no packet has so high a TTL. Any user
+            # may set IP_MINTTL; a filter (SO_ATTACH_FILTER) needs root on some kernels.
+            peer.setsockopt(socket.IPPROTO_IP, 21, 255)
+            if writes:
+                port.write(b'anybody?')
+            readers.append(Waiter(trouble, port))
+        assert {reader.result() for reader in readers} == {'the host does not answer'}
+        return all(1.0 < reader.took < 6.0 for reader in readers)
+    again_if_stalled(detected)
 
 
 def test_a_port_without_a_descriptor_is_read_in_slices():
@@ -553,6 +555,16 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
     port.close()
     with pytest.raises(PortError):
         port.read(0)
+
+
+def test_an_rfc2217_port_is_closed_at_once(rfc2217):
+    port = Port(rfc2217.url)
+    port.open()
+    readers = [each for each in threading.enumerate() if 'RFC 2217' in each.name]
+    with mock.patch('serial.rfc2217.time') as clock:
+        port.close()
+    assert not clock.sleep.called and not port.is_open
+    until(lambda: not any(each.is_alive() for each in readers))
 
 
 def test_a_socket_is_closed_at_once():

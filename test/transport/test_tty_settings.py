@@ -11,7 +11,7 @@ import time
 import pytest
 from fake_boards import PATIENCE, BusBoard, CarBoard, until
 
-from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.transport import open_port, tty_settings
@@ -110,7 +110,8 @@ def test_a_port_that_is_not_a_tty_has_no_settings():
 # -- the links ------------------------------------------------------------------------------------
 
 def test_after_a_changed_baud_rate_speed_0_is_sent_first(line, logger, running, lines):
-    link = running(ArduinoLink(Port(line.path), logger=logger))
+    link = running(ArduinoLink(Port(line.path), ArduinoSettings(speed_timeout=0.0),
+                               logger=logger))
     board = running(CarBoard(line))
     until(lambda: board.heartbeats() > 3)
     link.set_speed(300)

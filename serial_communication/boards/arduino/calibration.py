@@ -39,10 +39,11 @@ class Calibration:
         # Both shift by the time of a stall, and begin again when the port opens.
         self._watched_since = now
         self._last_data = now
+        self._received_at = float('-inf')
 
     def data_goes_on(self, now: float) -> bool:
         """Whether IMU data shows that the board does not calibrate, so its motor may run."""
-        return now - self._last_data < _READS and self._last_data - self._began > _UNDER_WAY
+        return now - self._received_at < _READS and self._received_at - self._began > _UNDER_WAY
 
     def check_timeout(self, now: float) -> Optional[End]:
         """`End.TIMEOUT` if it has lasted too long, else None."""
@@ -60,7 +61,7 @@ class Calibration:
     def imu_data(self, now: float) -> Optional[End]:
         """IMU data was received: return why the calibration is over now, or None."""
         silence = now - self._last_data
-        self._last_data = now
+        self._last_data = self._received_at = now
         if silence >= _SILENCE:
             return End.BACK
         return End.GOES_ON if now - self._watched_since >= _GOES_ON else None

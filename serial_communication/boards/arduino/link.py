@@ -67,7 +67,7 @@ class ArduinoLink(Link):
     @property
     def heartbeats_sent(self) -> int:
         """Heartbeats since the start."""
-        return self.heartbeat.sent
+        return self.heartbeat.sent + self.output.extra_beats
 
     @property
     def calibrating(self) -> bool:
@@ -184,8 +184,9 @@ class ArduinoLink(Link):
         What it can read already cannot be dropped, but has SPEED 0 behind it then. Heartbeats go
         on: the board may read.
         """
-        limit = self.settings.network_silence
-        held = self.port.is_pty and 0 < limit <= self.connection.silent_for(now)
+        limit, has_talked = self.settings.network_silence, self.last_frame_at is not None
+        silent_for = now - self.connection.last_byte_at if has_talked else 0.0
+        held = self.port.is_pty and 0 < limit <= silent_for
         if held == self.output.is_held:
             return
         self.output.hold(held)

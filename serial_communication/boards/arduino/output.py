@@ -10,20 +10,25 @@ from typing import Deque, Optional, Tuple
 
 from ...framing.layout import LayoutMessage
 from ...link.link import Link, Refused
+from ...transport.output_watch import LONGEST_WAIT, OutputWatch
 from ...transport.pace import clock
 from ...transport.port import PortBusy, PortError
 from . import wire
 from .calibration import Calibration
+from .line_time import LineTime
 from .motor import STALL, Motor, Stop
 
-_MOST_BACKLOG = 0.05     # s of wire time that may wait in the kernel; more: the port is blocked
+_LONGEST_BURST = 0.05    # s of wire time that may wait; then more commands are refused
+_LONGEST_WAIT_NETWORK = 1.0     # s, instead of LONGEST_WAIT: a network may pause
+_LONGEST_WAIT_AT_END = 0.05     # s, likewise: the last SPEED 0 has to leave
+_BEATS = 0.03            # s since the latest heartbeat in which its thread counts as running
 _LAST_STOP_TIME = 0.1    # s for the last SPEED 0 to leave the port before it is closed
-_BACKLOG_PERIOD = 0.1    # s between two checks of the backlog
 _CALIBRATES = 'the board calibrates its IMU, which takes minutes'
 _STALLED = 'it may have waited while the bridge stalled; send it again'
 _SPEED_0 = wire.SpeedCommand(0)
 _HEARTBEAT = wire.Heartbeat()
 _HEARTBEAT_PACKET = wire.encode(_HEARTBEAT)
+_OVERHEAD = 4            # bytes of a packet besides its data, at most
 
 
 class CarOutput:
@@ -48,7 +53,11 @@ class CarOutput:
         self._calibration_timeout = calibration_timeout
         self._cut_off = False                # the latest packet may have been sent in part
         self._has_ended = False              # the last SPEED 0 is sent: nothing may follow it
-        self._check_backlog_at = 0.0
+        self._watch = OutputWatch(link.port)
+        self._stands = False                 # what waited was dropped, and nothing has left since
+        self._line = LineTime(10.0 / link.port.baud)
+        self._beat_at = float('-inf')        # when its thread sent the latest heartbeat
+        self.extra_beats = 0                 # heartbeats among commands, sent by other threads
 
     def command(self, message: LayoutMessage) -> None:
         """Send any message, and SPEED 0 before a calibration if the car moves; Refused if it cannot
@@ -96,8 +105,10 @@ class CarOutput:
         if self.is_held:
             return ('the board is silent, so the other side of the pseudo terminal may hold it '
                     'back', 'silent')
-        if self._port.backlog() > _MOST_BACKLOG:
+        if self._stands:
             return 'the port takes no data', 'busy'
+        if min(self._port.backlog(), self._line.waiting(now)) > _LONGEST_BURST:
+            return 'the line has not sent the commands before it', 'busy'
         return '', ''
 
     def send_what_is_due(self, heartbeat_due: bool) -> bool:
@@ -112,9 +123,7 @@ class CarOutput:
             if self._has_ended or not self._port.is_open:
                 return False
             try:
-                if now >= self._check_backlog_at:
-                    self._check_backlog_at = now + _BACKLOG_PERIOD
-                    self._drop_backlog_if_blocked()
+                self._drop_backlog_if_blocked(now)
                 # The board reads nothing while it calibrates. But if IMU data is still received,
                 # the line may have lost the request to calibrate and the SPEED 0 before it.
                 calibration = self.calibration      # the link's thread may set it to None
@@ -128,6 +137,7 @@ class CarOutput:
                     now = clock()       # the bridge may have stalled since
                     self._check_for_stall(now)
                     self._send(_HEARTBEAT, now)
+                    self._beat_at = now
                 return heartbeat_due
             except PortBusy:
                 self._drop_backlog()    # so the next packet is SPEED 0, not a heartbeat
@@ -145,7 +155,7 @@ class CarOutput:
         """Send SPEED 0, and nothing after it: the heartbeat thread may outlive the wait for it."""
         with self.lock:
             self._has_ended = True
-            self._drop_backlog_if_blocked()
+            self._drop_backlog_if_blocked(clock(), _LONGEST_WAIT_AT_END)
             self._stop()
         self._let_it_leave()
 
@@ -155,7 +165,7 @@ class CarOutput:
         with self.lock:
             if self.calibration is not None:
                 raise Refused(f'not now: {_CALIBRATES}', 'calibrating')
-            self._drop_backlog_if_blocked()
+            self._drop_backlog_if_blocked(clock(), _LONGEST_WAIT_AT_END)
             self._stop()
             self._port.give_up(why)
         self._let_it_leave()
@@ -180,7 +190,8 @@ class CarOutput:
                 self.warn('moved', 'the port closed while the car may have been moving: '
                           'SPEED 0 is sent first when it is open again')
             self.motor.forget_speed()
-            self._cut_off, self.is_held = True, False     # closing may have cut a packet
+            self._cut_off = True        # closing may have cut a packet
+            self.is_held = self._stands = False
 
     def altered(self) -> None:
         """What was sent may have been changed on the way."""
@@ -205,20 +216,36 @@ class CarOutput:
             self._send(_SPEED_0, now)
         if message is _HEARTBEAT and not (self._link.tap or self._cut_off):
             # A shortcut for the most frequent packet while no `tap` gets it.
-            self._port.write(_HEARTBEAT_PACKET)
+            self._write(_HEARTBEAT_PACKET, message, now)
             self._link.frames_sent += 1
             return
         data = message.pack()
+        self._send_heartbeat_before(message, len(data) + _OVERHEAD, now)
         packet = wire.encode_raw(message.TYPE, data)
         # After a packet that was cut off, a 0x00 ends the part that the board has received.
         packet = b'\0' + packet if self._cut_off else packet
         if clock() > now + STALL and not (message is _HEARTBEAT or wire.is_speed_0(message)):
             raise Refused(f'{message} refused: {_STALLED}', 'stall')
-        self._port.write(packet)
+        self._write(packet, message, now)
         self._cut_off = False
         if isinstance(message, wire.SpeedCommand):
             self.motor.sent(message.value, now)    # before anything that may raise
         self._link.written(packet, message.TYPE, 0, data, message)
+
+    def _send_heartbeat_before(self, message: LayoutMessage, size: int, now: float) -> None:
+        """Send a heartbeat, if its thread runs, where so many bytes would delay the next one."""
+        if message is _HEARTBEAT or self.motor.speed_unknown or \
+                not self._line.delays_heartbeat(size, now) or clock() > self._beat_at + _BEATS:
+            return
+        self._send(_HEARTBEAT, now)
+        self.extra_beats += 1
+
+    def _write(self, packet: bytes, message: LayoutMessage, now: float) -> None:
+        self._port.write(packet)
+        self._watch.written += len(packet)
+        self._line.wrote(len(packet), now)
+        if message is _HEARTBEAT:
+            self._line.wrote_heartbeat()
 
     def _stop(self) -> None:
         try:
@@ -240,13 +267,20 @@ class CarOutput:
             self.warn('stall', f'the bridge stalled for {seconds:.3g} s: SPEED 0 is sent first, '
                       'and commands from that time are dropped')
 
-    def _drop_backlog_if_blocked(self) -> None:
-        if self._port.backlog() > _MOST_BACKLOG:
+    def _drop_backlog_if_blocked(self, now: float, longest: float = LONGEST_WAIT) -> None:
+        """Do that if bytes wait in the port for so much longer than the line needs for them."""
+        waited = self._watch.waiting_for(now)
+        if self._port.is_network:
+            longest = _LONGEST_WAIT_NETWORK
+        if waited > longest + self._line.waiting(now):
             self._drop_backlog()
+        elif not waited and self._watch.has_sent:
+            self._stands = False
 
     def _drop_backlog(self) -> None:
         """Drop the output that waits in a blocked port, so that no old command reaches the
         board."""
+        self._stands = True
         self.warn('blocked', 'the port takes no data: ' + (
             'the output that waited is dropped' if self._drop() else 'the connection is closed')
                   + ', and the board stops its motor')
@@ -255,4 +289,6 @@ class CarOutput:
         """Drop what was written but not sent; return whether the port is still usable."""
         self.motor.forget_speed()
         self._cut_off = True
+        self._watch.restart(clock())
+        self._line.restart()
         return self._port.discard_output()

@@ -111,7 +111,7 @@ class BusLink(Link):
             return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
                            f'({self.connection.trouble}); nothing was sent')
         call = self._call(request, function, on_success)
-        # Checked after the time of the call was taken, so that a stall in between makes it expire.
+        # Checked after the time of the call was taken: the Master refuses it if a stall follows.
         if not function.repeatable and self.connection.may_be_from_a_stall():
             return Outcome(NOT_SENT, f'{STALLED}; nothing was sent')
         longest = (max(self.settings.motion_timeout, NOT_READY_WAIT)

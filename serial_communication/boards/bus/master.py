@@ -63,6 +63,8 @@ class Master(Session):
         self._drop_output = drop_output
         self._still_announces = still_announces
         self._closed = 'the port is closed'     # and why, in words
+        self._stalled_at = -_NEVER      # when the latest stall had ended
+        self._interrupted: Optional[CallExchange] = None    # of a move that a stop has ended
 
     @property
     def outstanding_call(self) -> Optional[Call]:
@@ -87,6 +89,7 @@ class Master(Session):
         self.state = SessionState.CLOSED
         self._closed = f'the port is closed ({why})'
         exchange, self._exchange = self._exchange, NOTHING
+        self._interrupted = None
         if isinstance(exchange, CallExchange):
             exchange.call.finish(Outcome(
                 TIMEOUT, f'the port closed before the reply arrived ({why}): {UNKNOWN}'))
@@ -129,6 +132,7 @@ class Master(Session):
     def stalled(self, now: float) -> None:
         """The bridge stalled: a request that moves something and still waits is too old now."""
         self.may_have_missed('the bridge stalled', now)
+        self._stalled_at = now
         self._take_calls(now)
         for call in self.calls:
             if not call.function.repeatable:
@@ -160,8 +164,7 @@ class Master(Session):
         self._take_calls(now)
         if now >= self._exchange.deadline:
             self._timed_out(self._exchange, now)
-        self._abandon_overdue(now, waits_for)
-        if port_ready:
+        if port_ready:      # also a stop that is overdue, since it waited during a stall
             for call in self.calls:
                 if not call.at_once:
                     continue
@@ -169,6 +172,7 @@ class Master(Session):
                     return call.request if call.claim_at_once() else None, now
                 self.calls.abandon(call, _NOT_ANNOUNCED)
                 return None, now
+        self._abandon_overdue(now, waits_for)
         request, due = self._next_request(now) if port_ready and not waits_for else (None, _NEVER)
         due = min([due, self._exchange.deadline, *map(self._expiry, self.calls)])
         return request, due if due < _NEVER else None
@@ -268,6 +272,9 @@ class Master(Session):
             self.timeouts += 1
         if not isinstance(exchange, CallExchange):
             self._happened(Event.TIMEOUT, now)
+            if self._interrupted and now >= self._interrupted.deadline:
+                self._drop_output(self._interrupted.sent)       # rule 10
+                self._interrupted = None
             if exchange.kind is not Kind.SILENCE:
                 self.calls.stop_again()
             return
@@ -288,6 +295,8 @@ class Master(Session):
             if call.function.interrupts and self.state is not SessionState.CLOSED:
                 self._interrupt(call, now)
             self.calls.add(call)
+            if call.submitted <= self._stalled_at and not call.function.repeatable:
+                self.calls.abandon(call, STALLED)       # its thread went on later; rule 9
         if self.state is SessionState.CLOSED:
             for call in self.calls:
                 self.calls.abandon(call, self._closed)
@@ -297,6 +306,8 @@ class Master(Session):
         exchange = self._exchange
         self._happened(Event.STOP, now)
         if isinstance(exchange, CallExchange):
+            if not exchange.call.function.repeatable:
+                self._interrupted = exchange
             self.calls.try_failed(exchange.call, Outcome(
                 TIMEOUT, f'{call.request} was sent before the reply: {UNKNOWN}'), now)
         call.at_once = True

@@ -7,11 +7,11 @@ from ...framing.layout import LayoutMessage
 from ...framing.settings import SettingMessage
 from ...framing.stream import CHECKSUM, IMPLAUSIBLE, LENGTH, Frame
 from ...link.link import OK, WARN, Link, Refused
+from ...transport.output_watch import LONGEST_WAIT, OutputWatch
 from ...transport.port import Port, PortBusy
 from . import wire
 
 _STATUS_PERIOD = 1.0   # s between two reports of silence
-_MOST_BACKLOG = 0.05   # s of wire time that may wait in the kernel; more: the port is blocked
 _DOUBLED = 0.01        # s; the same bytes again within this are one frame, doubled on the line
 
 
@@ -34,7 +34,8 @@ class McuLink(Link):
         on_status: called with the (message, seq, stamp) of each valid frame.
         on_silence: called once a second with (class, seq, age) for each class of message that the
             board has sent and no longer sends: the last seq, and the seconds since that message.
-            The class is None, and the age counts from the start, until the board has sent one.
+            The class is None until the board has sent a built-in message, and the age counts from
+            the start, or from the latest custom message.
         link_arguments: frame_timeout, clock, board_time and logger, as for `Link`.
     """
 
@@ -56,6 +57,7 @@ class McuLink(Link):
         self._last: Optional[Frame] = None      # since the port opened
         self._last_at = 0.0                     # when it was received
         self._seq = 0                           # of the next frame to the board
+        self._watch = OutputWatch(port)
         now = time.monotonic()
         # By TYPE; by None until the board has sent a message.
         self._latest: Dict[Optional[int], _Latest] = {None: _Latest(None, 0, now, now + timeout)}
@@ -73,9 +75,11 @@ class McuLink(Link):
             self.board_settings.received(message, self.announcement.is_current)
         # None: a valid frame of an unknown type
         elif message is not None and not isinstance(message, wire.Time):
-            if self.silent:
-                self.silent = False
+            self.silent = False
+            if frame.type in wire.MESSAGES:
                 self._latest.pop(None, None)
+            elif None in self._latest:      # custom messages have no status of their own
+                self._latest[None] = _Latest(None, 0, now, now + self._timeout)
             self._latest[frame.type] = _Latest(type(message), frame.number, now,
                                                now + self._timeout)
             if self._on_status and not self.announcement.holds_back(message):
@@ -107,14 +111,15 @@ class McuLink(Link):
         return min([due, *(other for other in others if other is not None)])
 
     def _send(self, message: SettingMessage) -> None:
-        if self.port.backlog() > _MOST_BACKLOG:
+        if self._watch.waiting_for(time.monotonic()) > LONGEST_WAIT:
             raise Refused('the port takes no data', 'busy')
         data = message.pack()
+        frame = wire.encode_raw(message.TYPE, self._seq, data)
         try:
-            self.send(wire.encode_raw(message.TYPE, self._seq, data), message.TYPE, self._seq, data,
-                      message)
+            self.send(frame, message.TYPE, self._seq, data, message)
         except PortBusy as busy:
             raise Refused(str(busy), 'busy') from None
+        self._watch.written += len(frame)
         self._seq = (self._seq + 1) % 256
 
     def idle(self, now: float) -> float:

@@ -31,7 +31,16 @@ _OWN = {'BigEndian', 'Count', *_TYPES.values()}
 # this package's library.
 _CLASSES = {'String', 'Serial', 'Print', 'Stream', 'Printable', 'Server', 'Client', 'Servo', 'Wire',
             'Announcer', 'BusResult', 'BusSlave', 'FrameLink', 'ImuData', 'MessageType', 'Packet',
-            'PacketLink', 'SensorStatus', 'Setting', 'StreamSink'}
+            'HeartbeatWatch', 'PacketLink', 'RateLimit', 'SensorStatus', 'Setting', 'StreamSink'}
+# A setting is a variable: it may not have the name of a function of the Arduino core, or of C.
+_FUNCTIONS = set('''
+    abort abs access acos alarm asin atan atan2 atof atoi bsearch calloc ceil clock close
+    copysign cos cosh delay div dup exit exp fabs ffs floor fma fmax fmin fmod fork free frexp
+    gamma getc gets hypot index init interrupts isatty j0 j1 jn labs ldexp ldiv link log log10
+    loop lrint lround ltoa malloc map micros millis modf nice open pause perror pipe pow printf
+    putc putchar puts qsort raise rand random read realloc remove rename rewind rindex rint
+    rmdir round scanf setup signal sin sinh sleep sqrt square srand stat swab sync system tan
+    tanh time tone trunc ungetc unlink wait write y0 y1 yn yield'''.split())
 _WORDS = {'e': 'the bits of a float of 16 bits', '?': '0: false, 1: true'}
 _LARGEST_FLOAT = 3.4e38
 
@@ -105,7 +114,9 @@ def header(file: str, link: str, read: Iterable[Any], values: Dict[str, Any],
     """
     names = _Names(_OWN | _CLASSES)
     parts = [part for row in read if not isinstance(row, Setting) for part in _row(row, names)]
-    settings = [_setting(row, values[row.name], names) for row in read if isinstance(row, Setting)]
+    variables = _Names(names.taken | _FUNCTIONS)
+    settings = [_setting(row, values[row.name], variables) for row in read
+                if isinstance(row, Setting)]
     if settings:
         parts.append(_SETTINGS.format(' \\\n'.join(settings)))
     big_endian = any('BigEndian<' in part for part in parts)
@@ -117,16 +128,16 @@ class _Names:
     """Makes names that are valid in C++, each once."""
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
-        self._taken: Set[str] = set(taken)
+        self.taken: Set[str] = set(taken)
 
     def new(self, name: str, other: str) -> str:
         """This name; if it is taken, the other one, or that with a number."""
         # Names without a small letter are often macros of the Arduino core, such as A0 or PI.
-        if name in self._taken | _KEYWORDS or not re.search('[a-z]', name):
+        if name in self.taken | _KEYWORDS or not re.search('[a-z]', name):
             name, number = other, 2
-            while name in self._taken:
+            while name in self.taken:
                 name, number = f'{other}_{number}', number + 1
-        self._taken.add(name)
+        self.taken.add(name)
         return name
 
 

@@ -184,7 +184,7 @@ class Commands:
         self._under_way += 1
         entry = self._add_answer(key, name, arguments, now)
         try:
-            threading.Thread(target=self._run, args=(page, service, request, entry),
+            threading.Thread(target=self._run, args=(page, service, request, entry, seen),
                              daemon=True, name=f'call {name}').start()
         except RuntimeError as error:       # no memory for a thread
             self._answered(page, service, entry,
@@ -195,9 +195,10 @@ class Commands:
         self._switch.forget(page)
         self._ended = {key: at for key, at in self._ended.items() if key[0] is not page}
 
-    def _run(self, page: Any, service: Service, request: Any, entry: Dict[str, Any]) -> None:
+    def _run(self, page: Any, service: Service, request: Any, entry: Dict[str, Any],
+             seen: float) -> None:
         answer = call(absolute(service.service_name(entry['name']), self._node),
-                      service.service_class, request, entry['began'] + _MAX_AGE)
+                      service.service_class, request, seen + _MAX_AGE)
         self._add_callback(self._answered, page, service, entry, answer)
 
     def _answered(self, page: Any, service: Service, entry: Dict[str, Any],

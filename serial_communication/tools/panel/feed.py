@@ -27,6 +27,8 @@ _MAX_FRAMES = 100       # in one update: 2500 a second
 _MAX_LINES = 100        # of the log that are kept
 _MAX_TEXT = 500         # characters of a text that are shown
 _MAX_KEYS = 200         # of a link's values
+_OF_SETTINGS = 'settings', 'settings unconfirmed'     # those with the values of all settings
+_MAX_SETTINGS = 20000   # characters of them
 _MAX_INTEGER = 2 ** 53  # a browser rounds larger integers
 
 
@@ -277,7 +279,7 @@ class Feed:
 def _link_update(link: Optional[LinkState], errors: List[Any]) -> Dict[str, Any]:
     if link is None:
         return {'at': None}
-    values = {key[:_MAX_TEXT]: value[:_MAX_TEXT]
+    values = {key[:_MAX_TEXT]: value[:_MAX_SETTINGS if key in _OF_SETTINGS else _MAX_TEXT]
               for key, value in islice(link.values.items(), _MAX_KEYS)}
     return {'at': round(link.at, 3), 'level': link.level, 'summary': link.summary[:_MAX_TEXT],
             'values': values, 'errors': errors}

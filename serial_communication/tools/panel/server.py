@@ -20,6 +20,7 @@ _MAX_PAGES = 16
 _MAX_CONNECTIONS = 64      # of pages and all others; a browser has up to 6 while it loads a page
 _GRACE = 1.0           # s to keep the subscriptions without a page: the last one may only reload
 _MAX_HEADER = 16384    # bytes of a request
+_MAX_BODY = 4096       # bytes
 
 
 class Hub:
@@ -32,7 +33,7 @@ class Hub:
         self._pages: Set[Session] = set()
         self._ready = False          # whether rospy can be used
         self._active = False
-        self._timer = tornado.ioloop.PeriodicCallback(self._tick, PERIOD * 1e3)
+        self._next_tick: Any = None      # the handle of the next update; None: no updates are sent
 
     def ros_started(self) -> None:
         """rospy.init_node has returned."""
@@ -52,8 +53,8 @@ class Hub:
         """Begin to send updates to this page."""
         self._pages.add(page)
         self._activate()
-        if not self._timer.is_running():
-            self._timer.start()
+        if self._next_tick is None:
+            self._tick_later()
 
     def remove(self, page: Session) -> None:
         """The page is closed: stop its driving, and send it nothing more."""
@@ -85,16 +86,22 @@ class Hub:
                 self.commands.start()
 
     def _deactivate(self) -> None:
-        if self._pages:
+        if self._pages or self._next_tick is None:      # the latter: a page before this one
             return
-        self._timer.stop()
+        tornado.ioloop.IOLoop.current().remove_timeout(self._next_tick)
+        self._next_tick = None
         if self._active:
             self._active = False
             self._feed.stop()
             if self.commands:
                 self.commands.stop()
 
+    def _tick_later(self) -> None:
+        # Not a PeriodicCallback: it stands for as long as the system's clock is set back.
+        self._next_tick = tornado.ioloop.IOLoop.current().call_later(PERIOD, self._tick)
+
     def _tick(self) -> None:
+        self._tick_later()
         try:
             self._update()
         except Exception:  # pylint: disable=broad-except
@@ -150,7 +157,7 @@ def serve(sockets: List[socket.socket], hub: Hub, guard: Guard,
         (r'/(.*)', FileHandler, {'path': str(WEB), 'default_filename': 'index.html'}),
     ], **settings)
     server = Server(
-        application, max_header_size=_MAX_HEADER, max_body_size=MAX_MESSAGE,
+        application, max_header_size=_MAX_HEADER, max_body_size=_MAX_BODY,
         max_buffer_size=1 << 20, idle_connection_timeout=60)
     server.hub = hub
     server.add_sockets(sockets)

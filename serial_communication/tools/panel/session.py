@@ -57,14 +57,14 @@ from ..watch.topics import SERIAL_MSG
 from .dead_man import CommandRefused
 from .pages import GuardedHandler
 
-MAX_MESSAGE = 4096    # bytes of a message from a page
+MAX_MESSAGE = 1 << 15      # bytes of a message from a page: the names of the topics it watches
 _MAX_UNACKNOWLEDGED = 125  # updates, 5 s of them, after which the page is dropped
 _MAX_WAITING = 2 << 20     # bytes that may wait for a page; the first update has the history
 _RATE = 120.0         # frames a second that a page may send; it sends 25, and 45 as it drives
 _SETTLING = 1.0       # s of a connection in which no command moves anything
 _BURST = 240.0        # frames that it may send at once
 _DROPPED_RATE = 10.0  # frames a second read from a dropped page, until it answers the close frame
-_MAX_TOPICS = 200     # that a page may watch
+_MAX_TOPICS = 1000    # that a page may watch
 _PROTOCOL = 'panel'
 _NOT_READING = 'it does not read what is sent to it'
 

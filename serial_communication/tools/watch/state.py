@@ -15,6 +15,8 @@ _PERIODS_TO_STALE = 3    # a value older than this many of its periods is stale
 _SOONEST_STALE = 0.3     # s; a busy machine has jitter below this
 _LINK_PERIOD = 1.0       # s between two statuses of a link
 _NEWEST_WEIGHT = 0.1     # of the newest interval, in the measured period
+_FIRST_MESSAGES = 4      # the shortest interval between these is the period at first
+_LONGEST_PERIOD = 60.0   # s; at first
 _RATE_WINDOW = 5.0       # s over which a rate is counted
 _MASTER_TIMEOUT = 3.0    # s
 
@@ -42,12 +44,14 @@ class TopicState:
     def received(self, now: float) -> None:
         """Count a message."""
         if self.last_at is not None:
-            interval = now - self.last_at
-            if self._measured_period is None:
-                self._measured_period = interval
-            # Limited, so that an outage hardly changes the period, but a slower board does.
-            interval = min(interval, _PERIODS_TO_STALE * max(self._measured_period, 0.001))
-            self._measured_period += _NEWEST_WEIGHT * (interval - self._measured_period)
+            interval, period = now - self.last_at, self._measured_period
+            if period is None or self.count < _FIRST_MESSAGES:
+                # One may be a pause: the board was unplugged, or nobody looked.
+                self._measured_period = min(interval, period or _LONGEST_PERIOD)
+            else:
+                # Limited, so that an outage hardly changes the period, but a slower board does.
+                interval = min(interval, _PERIODS_TO_STALE * max(period, 0.001))
+                self._measured_period = period + _NEWEST_WEIGHT * (interval - period)
         self.count += 1
         self.last_at = now
 

@@ -174,14 +174,16 @@ def _split(data: bytes, line: Settings, sent: bool) -> List[Tuple[int, Explained
 
     for frame in frames:
         start = data.find(frame.raw, at)
+        if nothing and start >= 0:      # the next frame begins behind the end of this one
+            at = data.find(nothing, start + len(frame.raw) - 1) + 1 or len(data)
         if frame.cause == FRAMING or start < 0:
             continue     # a noise frame may quote only a part; noise is what no other frame has
         if data[end:start].strip(nothing):
             add(end, _noise(data[end:start]))
         add(start, frame)
         end = max(end, start + len(frame.raw))
-        # The next frame may begin inside an invalid one.
-        at = start + 1 if frame.cause else end
+        if not nothing:     # the next frame may begin inside an invalid one
+            at = start + 1 if frame.cause else end
     if data[end:].strip(nothing):
         add(end, _noise(data[end:]))
     return found

@@ -1,10 +1,10 @@
 """One direction through a tap: bytes are forwarded at once or dropped."""
 from typing import Callable
 
+from ...transport.output_watch import LONGEST_WAIT, OutputWatch
 from ...transport.port import Port, PortBusy, PortError
 from .lines import Settings, decoder
 
-_MOST_AGE = 0.3        # s that a byte may wait in a port
 _PAUSE = 2.0           # in frame_timeouts: nothing is forwarded for so long after a loss
 _QUIET = 0.02          # s; a byte after such a silence begins a frame (adapters hold back 16 ms)
 _ANYWHERE = 1.0        # s after the pause, from which forwarding may resume inside a frame
@@ -40,9 +40,7 @@ class Forwarder:
         first = [frame.text for frame in decoder(line, True).feed(self._first)] if sent else []
         self.remedy = f'; {" and ".join(first)} is sent first afterwards' if first else ''
         self._report = report
-        self._written = 0               # bytes written to the port
-        self._checked = 0               # as many of them must have left it at `_check_at`
-        self._check_at = 0.0
+        self._watch = OutputWatch(port)
         self._port_closed = False       # set by the thread that reads the port
         self._cut_off = False           # bytes were lost since the last write
         self._resume_at = 0.0           # after a loss, nothing is forwarded before this time
@@ -73,7 +71,7 @@ class Forwarder:
 
     def port_closed(self) -> None:
         """Record that the port was closed, with bytes that may not have left it."""
-        self._port_closed = self._written > 0
+        self._port_closed = self._watch.written > 0
 
     def restart_silence_check(self) -> None:
         """Count a silence of the other end from now on: it was not read for a while."""
@@ -109,32 +107,25 @@ class Forwarder:
             self._report_once(f'not forwarded to {self._port.url}: {error}{self.remedy}')
             self._record_loss(len(data), now)
             return
-        self._written += len(data)
+        self._watch.written += len(data)
         self._cut_off = False
         self._unanswered_since = self._unanswered_since or now
 
     def _check_backlog(self, now: float) -> None:
         """Drop the backlog if the bytes written have not left the port in time."""
-        left = self._written - self._backlog()
-        if left < self._checked:
-            if now > self._check_at:
-                self._drop_backlog(now)
-            return
-        if left > self._checked and self._lost_before >= 0:
+        seconds = self._watch.waiting_for(now)
+        if seconds > LONGEST_WAIT:
+            self._drop_backlog(now)
+        elif not seconds and self._watch.has_sent and self._lost_before >= 0:
             self._report(f'{self._port.url} takes bytes again; '
                          f'{self.lost - self._lost_before} were lost')
             self._lost_before = -1
-        self._checked, self._check_at = self._written, now + _MOST_AGE
-
-    def _backlog(self) -> int:
-        """The bytes that wait in the port."""
-        return round(self._port.backlog() * self._port.baud / 10)
 
     # -- losses -----------------------------------------------------------------------------
 
     def _drop_backlog(self, now: float) -> None:
         """Drop what waits in the port, since it would arrive late."""
-        waiting, dropped = self._backlog(), self._port.discard_output()
+        waiting, dropped = self._watch.waiting, self._port.discard_output()
         self._report_once(f'not forwarded to {self._port.url}: the port takes no data; ' + (
             'what waited in it was dropped' if dropped else 'the connection was closed')
                           + self.remedy)
@@ -150,7 +141,7 @@ class Forwarder:
         self.lost += count
         self._cut_off = True
         self._resume_at = now + self._pause
-        self._checked = self._written
+        self._watch.restart(now)
 
     def _resume_offset(self, data: bytes, now: float) -> int:
         """Where in `data` forwarding may resume; 0 unless bytes were lost."""

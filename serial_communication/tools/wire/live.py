@@ -28,6 +28,8 @@ _MOST_WAITING = 10000    # reads in an inbox; further ones are left out
 _FLUSH = 0.5             # s until a read is in the file, at most
 _TICK = 0.05             # s that a read of a port waits, at most
 _AFTER_OPENING = 0.1     # s in which a tap drops what a port has as it opens
+# s that decoding waits, at most: a signal that arrives just before a wait begins does not end it.
+_LONGEST_WAIT = 1.0
 _REALTIME_PRIORITY = 15
 
 
@@ -62,10 +64,10 @@ class Inbox:
                                   True))
         self._queue.put(item)
 
-    def get(self, timeout: Optional[float]) -> Optional[Item]:
-        """Return the next item, or None after `timeout` s; None waits for ever."""
+    def get(self, timeout: float) -> Optional[Item]:
+        """Return the next item, or None after `timeout` s."""
         try:
-            return self._queue.get(timeout=None if timeout is None else max(timeout, 0.0))
+            return self._queue.get(timeout=max(timeout, 0.0))
         except queue.Empty:
             return None
 
@@ -265,9 +267,9 @@ def decode_inbox(inbox: Inbox, line: Settings, until: Optional[float],
             decoder.add_message(message_of(settings))
 
     while True:
-        times = [time_ for time_ in [until] + [direction.due() for direction in directions]
-                 if time_ is not None]
-        item = inbox.get(min(times) - time.monotonic() if times else None)
+        times = [until, *(direction.due() for direction in directions)]
+        item = inbox.get(min([_LONGEST_WAIT, *(time_ - time.monotonic() for time_ in times
+                                               if time_ is not None)]))
         now = time.monotonic() if item is None else item.at
         if isinstance(item, Read):
             for frame in directions[item.sent].feed(item.data, item.at):

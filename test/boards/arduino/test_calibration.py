@@ -41,6 +41,15 @@ def test_imu_data_under_way_at_the_begin_does_not_end_it(calibration):
     assert calibration.imu_data(5.5) is End.BACK
 
 
+def test_only_received_data_shows_that_the_board_does_not_calibrate(calibration):
+    calibration.stalled(0.4, 0.4)
+    assert not calibration.data_goes_on(0.41)
+    calibration.port_opened(1.0)
+    assert not calibration.data_goes_on(1.01)
+    calibration.imu_data(1.1)
+    assert calibration.data_goes_on(1.15) and not calibration.data_goes_on(1.21)
+
+
 def test_imu_data_for_5_s_without_a_silence_ends_it(calibration):
     why, now = watch(calibration, 0.0, 20.0, data_every=0.1)
     assert why is End.GOES_ON and now == pytest.approx(5.0, abs=0.11)

@@ -298,7 +298,7 @@ def test_the_state_says_what_a_call_waits_for(line, board, open_link):
 
 def test_a_move_that_timed_out_is_dropped_where_it_waits(line, board, open_link):
     """The other side of a pseudo terminal takes nothing, from the reply to the fence on."""
-    link = open_link(PATIENT._replace(reply_timeout=0.15, motion_timeout=0.3))
+    link = open_link(PATIENT._replace(motion_timeout=0.3))
 
     def stand(request):
         if request.cmd1 == bus.ECHO:
@@ -318,7 +318,12 @@ def test_a_move_that_timed_out_closes_a_network_connection(logger, running):
         server.listen(1)
         server.settimeout(PATIENCE)
         link = running(BusLink(Port('socket://127.0.0.1:%d' % server.getsockname()[1]),
-                               SHORT._replace(retries=0), logger=logger))
+                               PATIENT._replace(retries=0), logger=logger))
+
+        def call_within(seconds, call, *arguments):
+            link.settings = link.settings._replace(reply_timeout=seconds, motion_timeout=seconds)
+            return call(*arguments)
+
         with server.accept()[0] as peer:
             peer.setblocking(False)
             line = Pty('a connection')
@@ -326,15 +331,15 @@ def test_a_move_that_timed_out_closes_a_network_connection(logger, running):
             board = running(BusBoard(line))
             until(lambda: link.master.in_step)
             board.script.append(b'')
-            assert link.environment()[0].status == TIMEOUT
-            assert link.lift(0, 1).success
+            assert call_within(0.15, link.environment)[0].status == TIMEOUT
+            assert call_within(PATIENCE, link.lift, 0, 1).success
             assert link.connection.number == 1, 'it was a reading'
             board.script.append(b'\xa5')
-            assert link.lift(0, 2).status == TIMEOUT
-            until(lambda: link.lift(0, 3).success)
+            assert call_within(1.0, link.lift, 0, 2).status == TIMEOUT
+            assert call_within(PATIENCE, link.lift, 0, 3).success
             assert link.connection.number == 1, 'the board was heard'
             board.script.append(b'')
-            assert link.lift(0, 100).status == TIMEOUT
+            assert call_within(0.3, link.lift, 0, 100).status == TIMEOUT
             server.accept()[0].close()
             until(lambda: link.connection.reconnects)
             board.close()

@@ -886,6 +886,47 @@ def test_after_a_stall_only_what_is_repeatable_is_sent(session):
                  'lift is done; fence; > air; < AIR; send read')
 
 
+def test_what_was_called_before_a_stall_and_submitted_after_it_is_not_sent(session):
+    """The caller's thread stood between the two, and the link's thread goes on before it."""
+    for name in ('lift', 'air'):
+        session.calls[name] = Call(REQUESTS[name], FUNCTIONS[name], 1.0, 1, session.now)
+    session.now += 0.4
+    session.master.stalled(session.now)
+    for call in session.calls.values():
+        session.master.submit(call)
+    session.play('fence; > air; < AIR; lift is not sent; +0.5; call gimbal;'
+                 'send gimbal')
+
+
+@pytest.mark.parametrize('stall', [0.9, MOTION_TIMEOUT + 1.0])
+def test_a_stop_that_waited_during_a_stall_is_sent_however_long_it_was(session, stall):
+    session.play(f'{LIFTS} call stop')
+    session.now += stall
+    session.master.stalled(session.now)
+    held = 'the end of the bytes that waited during a stall'
+    assert session.master.step(session.now, held)[0] == REQUESTS['stop']
+    session.play('lift is not known')
+
+
+def test_output_is_dropped_if_a_move_that_a_stop_ended_is_not_answered(session):
+    session.play(LIFTS)
+    sent = session.now
+    session.play('+1; call stop; > stop')
+    while not session.dropped and session.now < sent + 2 * MOTION_TIMEOUT:
+        while session.next_request():
+            pass
+        session.later(0.1)
+    assert session.dropped == [sent]
+    assert MOTION_TIMEOUT <= session.now - sent < MOTION_TIMEOUT + REPLY_TIMEOUT + 0.2
+    assert session.next_request() == REQUESTS['stop'], 'it may have been dropped, too'
+
+
+def test_output_is_not_dropped_after_a_stop_if_the_port_was_opened_since(session):
+    session.play(f'{LIFTS} +1; call stop; > stop; disconnected; connected; call raw; > raw; +M;'
+                 '> ECHO; +M')
+    assert len(session.dropped) == 1, 'that of the raw request'
+
+
 @pytest.mark.parametrize('name', ['lift', 'gimbal', 'raw', 'custom', 'air', 'read'])
 def test_output_is_dropped_if_a_move_is_not_answered(session, name):
     session.play(f'call {name} 1; send {name}')

@@ -122,8 +122,8 @@ def test_a_fault_of_a_receiver_is_logged_and_costs_no_connection(line, watch, li
 class Timed(Watched):
     """A link with a timeout of 0.2 s, whose time the test sets, in s from its begin."""
 
-    def __init__(self, logger):
-        super().__init__(dict(port=Port('/dev/absent'), timeout=0.2, logger=logger))
+    def __init__(self, logger, **arguments):
+        super().__init__(dict(port=Port('/dev/absent'), timeout=0.2, logger=logger, **arguments))
         self._begin = self._now = self.link._latest[None].received_at
 
     def wait(self, end):
@@ -158,6 +158,18 @@ def test_silence_is_reported_once_a_second_for_each_message_with_its_age(logger)
     assert board.link.silent
     board.receive(status(30))
     assert not board.link.silent and board.wait(4.5)[0] == (mcu.SensorStatus, 30, 0.2, 4.2)
+
+
+def test_a_board_that_has_sent_custom_messages_alone_is_reported_as_well(logger):
+    load = message_class('Load', 0x40, '<B', [Value('load')])
+    board = Timed(logger, messages=[load])
+    assert board.wait(0.3) == [(None, 0, 0.2, 0.2)]
+    for seq in range(10):
+        board.receive(mcu.encode_raw(0x40, seq, b'1'))
+        assert not board.link.silent and board.wait(0.3 + (seq + 1) * 0.1) == []
+    assert board.wait(1.6) == [(None, 0, 0.2, 1.4), (load, 9, 0.2, 1.4)] and board.link.silent
+    board.receive(status(10))
+    assert board.wait(2.0) == [(mcu.SensorStatus, 10, 0.2, 1.8)]
 
 
 def test_a_board_that_sends_the_same_frame_again_is_not_silent(logger):

@@ -7,12 +7,16 @@ import pytest
 import rospy
 from std_srvs.srv import Trigger
 
+from waiting import PATIENCE
 from serial_communication.boards.arduino.wire import SPEED_LIMIT
+from serial_communication.link.outcome import Verdict
 from serial_communication.tools.panel import commands as panel_commands
 from serial_communication.tools.panel.commands import Commands
 from serial_communication.tools.panel.dead_man import SILENCE, CommandRefused
+from serial_communication.tools.panel.feed import _link_update
 from serial_communication.tools.panel.forms import service
-from serial_communication.tools.watch.state import BridgeState
+from serial_communication.tools.watch.calls import Answer
+from serial_communication.tools.watch.state import BridgeState, LinkState
 
 NODE = '/serial_communication'
 PAGE = 'a page'
@@ -70,6 +74,23 @@ def test_silence_stops_the_car_even_if_the_first_command_could_not_be_published(
     assert not panel.commands.stop_driving()
 
 
+def test_a_request_and_what_delays_the_call_may_take_2_s_together(panel):
+    seen, deadlines, answered = time.monotonic() - 1.9, [], threading.Event()
+
+    def call(_name, _service_class, _request, deadline):
+        deadlines.append(deadline)
+        answered.set()
+        return Answer(Verdict.REFUSED, 'too late')
+
+    with mock.patch.object(panel_commands, 'board_services',
+                           return_value={'~lift': service(Trigger, 'bus')}):
+        panel.commands.changes(BridgeState(NODE))
+    with mock.patch.object(panel_commands, 'call', call):
+        panel.commands.call(PAGE, '1', seen, '~lift', {})
+        assert answered.wait(PATIENCE)
+    assert deadlines == [seen + 2.0]
+
+
 def test_a_call_for_which_no_thread_starts_is_refused_and_counts_no_more(panel):
     with mock.patch.object(panel_commands, 'board_services',
                            return_value={'~lift': service(Trigger, 'bus')}):
@@ -81,3 +102,10 @@ def test_a_call_for_which_no_thread_starts_is_refused_and_counts_no_more(panel):
     assert {(call['outcome'], call['words']) for call in panel.calls.values()} == {
         ('refused', "nothing was sent: can't start new thread")}
     assert len(panel.calls) == 20
+
+
+def test_the_values_of_many_settings_are_not_cut():
+    """A page begins with them."""
+    settings = ', '.join(f'left_wheel_gain_{number}={number}.25' for number in range(100))
+    shown = _link_update(LinkState(0, 'open', {'settings': settings, 'port': 'x' * 9999}), [])
+    assert shown['values'] == {'settings': settings, 'port': 'x' * 500}

@@ -69,20 +69,25 @@ bool blocked = false;  // until the command is 0
 uint32_t command_ms = 0;
 Odom odom = {0, 0, 0, 0, 0};
 
-// Called with interrupts disabled. Before its direction changes, a bridge is off for a period.
-void set_motor(Wheel& wheel, int16_t duty) {
-  if ((duty > 0 && wheel.duty < 0) || (duty < 0 && wheel.duty > 0)) duty = 0;
+// Called with interrupts disabled, as the next two.
+void write_motor(const Wheel& wheel, int16_t duty) {
   digitalWrite(wheel.forward_pin, duty > 0);
   digitalWrite(wheel.backward_pin, duty < 0);
   analogWrite(wheel.pwm_pin, abs(duty));
+}
+
+// Before its direction changes, a bridge is off for a period.
+void set_motor(Wheel& wheel, int16_t duty) {
+  if ((duty > 0 && wheel.duty < 0) || (duty < 0 && wheel.duty > 0)) duty = 0;
+  write_motor(wheel, duty);
   wheel.duty = duty;
 }
 
 void motors_off() {
   if (!driving) return;
   driving = false;
-  set_motor(left, 0);
-  set_motor(right, 0);
+  write_motor(left, 0);  // the duties stay until the next period: it may drive again before
+  write_motor(right, 0);
 }
 
 STOP_WITHOUT_HEARTBEATS(motors_off)
@@ -103,6 +108,7 @@ void handle_cmd_vel(const CmdVel& command) {
   if (fastest == 0) {
     stop();
     blocked = false;
+    left.integral = right.integral = 0;
   } else if (!blocked) {
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { driving = heartbeats.alive(); }
   }
@@ -156,6 +162,7 @@ void control(Wheel& wheel, float last_speed, float seconds) {
 void drive(float last_left, float last_right, float seconds) {
   if (driving && millis() - command_ms > kCommandMs) stop();
   if (!driving) {
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) { left.duty = right.duty = 0; }
     left.integral = right.integral = 0;
     left.blocked = right.blocked = 0;
     return;

@@ -36,7 +36,6 @@ void setup() {
 
 void loop() {
   static uint32_t pulse_ms = 0;
-  static uint32_t pulse_us = 0;
   bridge.update();
   if (millis() - pulse_ms < kPeriodMs) return;
   pulse_ms += kPeriodMs;
@@ -45,9 +44,8 @@ void loop() {
   echo_us = 0;
   interrupts();
   const uint32_t mm = us * 343UL / 2000;  // sound: 343 m/s, there and back
-  bridge.time(pulse_us);                  // it was measured after the previous pulse
   bridge.send(32, us == 0 || mm > 4000 ? kNoEcho : static_cast<uint16_t>(mm));
-  pulse_us = micros();
+  bridge.time(micros());                  // of the pulse that follows: its echo is sent next
   digitalWrite(kTriggerPin, HIGH);
   delayMicroseconds(10);
   digitalWrite(kTriggerPin, LOW);

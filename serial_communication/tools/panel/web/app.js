@@ -14,6 +14,7 @@ import {flow} from './flow.js';
 import {Model} from './model.js';
 
 const IDLE = 200;         // ms between two drawings while no update is received
+const CLICK_OF_PRESS = 1000;    // ms after a press in which a click is the same press
 
 const place = (id) => document.getElementById(id);
 const announce = (words) => { place('announcer').textContent = words; };
@@ -59,7 +60,17 @@ function showTab(name) {
 }
 place('tabs').append(...Object.keys(tabs).map((name) =>
   h('button', {type: 'button', onclick: () => showTab(name)}, name)));
-place('stop').addEventListener('click', () => commands.stop());
+// STOP is sent as soon as it is pressed. A touch may bring no click at all: a second finger, one that
+// slips or one that stays. Only a key brings a click alone.
+let stoppedAt = -Infinity;
+place('stop').addEventListener('pointerdown', ({button}) => {
+  if (button !== 0) return;
+  stoppedAt = performance.now();
+  commands.stop();
+});
+place('stop').addEventListener('click', () => {
+  if (performance.now() - stoppedAt > CLICK_OF_PRESS) commands.stop();
+});
 
 function watch() {
   connection.watch(new Set(cards.flatMap((each) => each.topics)));
