@@ -11,6 +11,7 @@ import socket
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import List, Optional
 
@@ -103,11 +104,17 @@ class Start:
         """If another node took the name, start again in this process, and do not return."""
         if is_shutdown_requested():
             self._reason_known.wait(_REASON)
-        if not self._displaced or self.stopping.is_set():
+        if not self._displaced:
             return
         before = _displacements() if time.monotonic() - self._began < _LONG_LIFE else 0
-        # Signals stay blocked until the new process has handlers, in `wait_until_allowed`.
+        # Signals stay blocked until the new process has handlers, in `wait_until_allowed`. A signal
+        # that another thread gets before then would be lost, so it ends the process.
         signal.pthread_sigmask(signal.SIG_BLOCK, _STOP_SIGNALS)
+        with suppress(ValueError):      # only the main thread may set handlers
+            for number in _STOP_SIGNALS:
+                signal.signal(number, signal.SIG_DFL)
+        if self.stopping.is_set():
+            return
         try:
             # One interpreter cannot initialise rospy twice.
             os.execve(sys.executable, [sys.executable, *sys.argv],

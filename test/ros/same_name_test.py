@@ -150,10 +150,12 @@ class SimultaneousStart(unittest.TestCase):
             bridge.kill()
         shutil.rmtree(self.folder)
 
-    def start(self, host='', meets=True, waits=starting._LOCK_PATIENCE):
+    def start(self, host='', meets=True, waits=starting._LOCK_PATIENCE, interrupted=False):
         """Start a bridge on a host; with `meets`, it waits once it has found the name free. It
-        waits for the lock for that many s."""
-        settings = [f'HOST={host}', f'WAITS={waits}'] + ['MEETING=' + self.folder] * meets
+        waits for the lock for that many s. With `interrupted`, it gets SIGINT as it starts
+        again."""
+        settings = ([f'HOST={host}', f'WAITS={waits}'] + ['MEETING=' + self.folder] * meets
+                    + ['INTERRUPTED='] * interrupted)
         self.pair.append(Bridge('twin', {'bus/port': os.path.join(self.folder, 'bus')},
                                 before=['env', *settings, ELSEWHERE]))
         return self.pair[-1]
@@ -174,6 +176,14 @@ class SimultaneousStart(unittest.TestCase):
                 return node.getPid('/same_name_test')[2] if address != but else None
         except (rosgraph.MasterError, OSError):
             return None
+
+    def displace(self, bridge, before=''):
+        """Register another node of its name, once it has registered at another address than
+        `before`; return its address."""
+        until(lambda: self.owner(before) == bridge.process.pid, 'it has the name')
+        address = self.master.lookupNode('/twin')
+        rosgraph.Master('/twin').registerSubscriber('/any', 'std_msgs/Empty', 'http://localhost:1/')
+        return address
 
     def assert_one_lives(self):
         until(lambda: len([each for each in self.pair if each.alive]) == 1, 'one of them has ended')
@@ -224,20 +234,19 @@ class SimultaneousStart(unittest.TestCase):
 
     def test_a_displaced_bridge_starts_again_if_the_name_is_free_and_ctrl_c_ends_it(self):
         bridge = self.start(meets=False)
-
-        def displace(before=''):
-            until(lambda: self.owner(before) == bridge.process.pid, 'it has the name')
-            address = self.master.lookupNode('/twin')
-            rosgraph.Master('/twin').registerSubscriber('/any', 'std_msgs/Empty',
-                                                        'http://localhost:1/')
-            return address
-        first = displace()
+        first = self.displace(bridge)
         bridge.wait_for('another node has registered as /twin')
-        displace(first)     # which may register something else before it ends
+        self.displace(bridge, first)     # which may register something else before it ends
         until(lambda: bridge.output().count('another node has registered as /twin') == 2,
               'it is displaced again', PATIENCE)
         _seconds, status = bridge.end(signal.SIGINT)
-        self.assertEqual(status, 0, bridge.output())
+        self.assertIn(status, (0, -signal.SIGINT), bridge.output())
+        self.assertNotIn('Traceback', bridge.output())
+
+    def test_a_signal_that_arrives_as_a_displaced_bridge_starts_again_ends_it(self):
+        bridge = self.start(meets=False, interrupted=True)
+        self.displace(bridge)
+        self.assertIn(bridge.process.wait(PATIENCE), (0, -signal.SIGINT), bridge.output())
         self.assertNotIn('Traceback', bridge.output())
 
     def test_a_bridge_that_is_displaced_again_and_again_ends(self):
