@@ -5,6 +5,7 @@ import time
 from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
 
 from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame, stamped
+from ..transport import pace
 from ..transport.port import Port, PortError
 from .announcement import BoardAnnouncement
 from .connection import Connection
@@ -245,7 +246,7 @@ class Link:
             unknown = self.unknown_bytes.meaning(now)
             self._presence.update(talks, f'{unknown} `rosrun serial_communication ports` finds out '
                                   'which board is on which port' if unknown else self.silence(),
-                                  now)
+                                  pace.clock())     # the bridge may have stalled since `now`
 
     def deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""

@@ -3,7 +3,7 @@ import math
 import struct
 import time
 from collections import Counter, deque
-from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
 import by_definition as codec
 from .lines import Clock, SerialLine
@@ -177,7 +177,7 @@ class Car(Board):
     """The model car. It sends a sign of life each 0.1 s while `talks`.
 
     Attributes:
-        gaps: between two heartbeats, if too long: when both were read.
+        gaps: between two heartbeats, if too long: when both were written.
     """
 
     received_frame_at = sent_frame_at = staticmethod(codec.arduino_at)
@@ -230,16 +230,21 @@ class Car(Board):
         self.all_beats += 1
         # When a silence begins and when it ends, the bridge drops what waits in a pseudo terminal:
         # heartbeats that it has written in time.
-        times = [self._last_beat, now]
-        if self._last_beat < self._woke_at + _DROPS or now > self._talked_at + _SILENT:
-            times[1:1] = [at for at in self.line.not_arrived if at > self._last_beat]
+        dropped = self._last_beat < self._woke_at + _DROPS or now > self._talked_at + _SILENT
+        if self.line.moved_late and self.gaps and self.gaps[-1][1] == self._last_beat:
+            before, after = self.gaps.pop()
+            self._measure_gaps(before, self.line.moved_late, after)
+        self._measure_gaps(self._last_beat, self.line.not_arrived if dropped else (), now)
+        self._last_beat = self.beat_at = now
+        self.on_beat(now)
+
+    def _measure_gaps(self, since: float, between: Iterable[float], until: float) -> None:
+        times = [since, *(at for at in between if since < at < until), until]
         for before, after in zip(times, times[1:]):
             if after - before >= BEAT_MISSED:
                 self.gaps.append((before, after))
             else:
                 self.longest_gap = max(self.longest_gap, after - before)
-        self._last_beat = self.beat_at = now
-        self.on_beat(now)
 
     def clear_records(self) -> None:
         super().clear_records()

@@ -230,6 +230,7 @@ def old_connection(rig: Rig) -> None:
     since = len(rig.car.packets)
     rig.wait_beats(0.1)
     children[0].send(signal.SIGCONT)
+    required.wait(lambda: rig.logs.find('refused: .*old connection'), 'it is logged')
     rig.wait_beats(AFTER)
     for name, type_ in TYPES.items():
         sent = [value for value in rig.car.commands(type_, since) if 0 < value < 500]

@@ -54,6 +54,8 @@ class SerialLine(threading.Thread):
     Attributes:
         on_bytes: called with what the bridge wrote, and when it was read by `time.monotonic`.
         not_arrived: when the bridge wrote what was not read before the latest frames.
+        moved_late: those of the frames before, of which the latest frames are some: the kernel
+            moved them later than the write of the frame before, whose time is that of another one.
         on_unplugged: called when the line is unplugged.
         on_moved: called with when the bridge wrote a frame, and when it was read.
         damage: returns what the bridge receives for bytes that the board sends.
@@ -72,6 +74,7 @@ class SerialLine(threading.Thread):
         self._lock = threading.RLock()
         self._bytes_read = 0
         self.not_arrived: List[float] = []
+        self.moved_late: List[float] = []
         self.plug()
         self.start()
 
@@ -174,6 +177,7 @@ class SerialLine(threading.Thread):
         times = self._writes.next()
         while len(times) < frames and time.monotonic() < now + _NOTED:
             times += self._writes.next(_NOTED)
+        self.moved_late = self.not_arrived if len(times) < frames else []
         times = [min(each, now) for each in times] or [now]
         self.not_arrived, found = times[:max(0, len(times) - frames)], times[-frames:]
         self.on_moved(found[0], now)

@@ -149,6 +149,38 @@ def test_heartbeats_that_the_bridge_drops_when_a_silence_ends_were_in_time(
     assert len(car.gaps) == gaps
 
 
+@pytest.fixture
+def talking_car(line, monkeypatch):
+    car = Car(line, Clock())
+    with monkeypatch.context() as patched:
+        patched.setattr(boards.time, 'monotonic', lambda: 0.5)
+        car.write(b'')
+    return car
+
+
+@pytest.mark.parametrize('writes, gaps', [
+    ((1.01, 1.02, 1.031), []), ((1.03, 1.031), [(1.0, 1.03)]), ((1.031,), [(1.0, 1.031)])])
+def test_heartbeats_that_the_kernel_moves_one_by_one_were_in_time(
+        line, talking_car, writes, gaps):
+    """It has moved the first one when all of them are written."""
+    car, heartbeat = talking_car, codec.arduino_packet(codec.HEARTBEAT)
+    noted = [[1.0], list(writes)]
+    line._writes.next = lambda seconds=0.0: noted.pop(0) if noted else []
+    for now in (1.0, *(1.04 for _ in writes)):
+        car.read(heartbeat, now)
+    noted.append([1.05])
+    car.read(heartbeat, 1.05)
+    assert car.gaps == gaps and car.all_beats == 2 + len(writes)
+
+
+def test_heartbeats_that_never_arrive_are_a_gap(line, talking_car):
+    car, heartbeat = talking_car, codec.arduino_packet(codec.HEARTBEAT)
+    for at, *before in (1.0,), (1.031, 1.01, 1.02), (1.041,):
+        line._writes.next = lambda seconds=0.0: [*before, at]
+        car.read(heartbeat, at)
+    assert car.gaps == [(1.0, 1.031)]
+
+
 def bus_board(line):
     """A board, and what was wrong about fences."""
     board, faults = BusBoard(line, Clock()), []

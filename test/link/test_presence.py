@@ -16,6 +16,7 @@ from serial_communication.link.presence import LOOK_PERIOD, PresenceLog
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
+from serial_communication.transport import pace
 from serial_communication.transport.port import Port
 
 
@@ -50,6 +51,22 @@ def test_frequent_changes_are_logged_sparingly_and_the_last_state_is_logged(pres
     for late in range(0, 40):
         presence.update(False, 'the board is silent', end + late * LOOK_PERIOD)
     assert said()[-1] == 'the board is silent'
+
+
+def test_a_stall_just_before_a_line_does_not_bring_the_next_one_closer(
+        line, logger, said, monkeypatch):
+    link = McuLink(Port(line.path), logger=logger)
+
+    def check(talks, now, stall=0.0):
+        monkeypatch.setattr(link, 'talks', lambda _now: talks)
+        monkeypatch.setattr(pace, 'clock', lambda: now + stall)
+        link.check(now)
+    for now, talks, stall in ((9.0, True, 0.0), (10.0, False, 0.0), (12.0, True, 1.3),
+                              (20.5, False, 0.0), (22.5, True, 0.0)):
+        check(talks, now, stall)
+    assert len(said()) == 4 and said()[-1].startswith('the board is silent')
+    check(True, 23.5)
+    assert len(said()) == 5 and said()[-1].startswith('the board is back')
 
 
 def test_a_car_that_talks_falls_silent_and_is_back_is_logged(line, running, open_link, said):

@@ -60,15 +60,23 @@ class Clock:
     def __call__(self):
         return self._real() if self._stopped_at is None else self._stopped_at
 
+    @property
+    def stands(self):
+        return self._stopped_at is not None
+
+    def jump(self, seconds=0.0):
+        """Let so much time pass at once; a link that sleeps does not wake."""
+        self._stopped_at = self() + seconds
+
     def begin_stall(self, link, seconds):
         """Let the link's thread wake from a stall; it drops what it reads until `end`."""
-        self._stopped_at = self() + seconds
+        self.jump(seconds)
         link.wake()
         until(lambda: is_dropping(link))
 
     def pass_time(self, link, seconds):
         """Let time pass while the clock stands; return when the link's thread has run."""
-        self._stopped_at += seconds
+        self.jump(seconds)
         self.wait_for(link)
 
     def wait_for(self, link):
@@ -164,7 +172,7 @@ def test_the_hook_stalled_is_called_before_a_frame_is_received(sensor, send, clo
     (partial(McuLink, network_silence=0.0), 2), (BusLink, 1)], ids=('arduino', 'mcu', 'bus'))
 def test_a_network_port_is_opened_anew_after_a_stall_unless_the_link_has_fences(
         kind, openings, server, logger, running, clock):
-    clock._stopped_at = clock()
+    clock.jump()
     link = running(kind(Port('socket://127.0.0.1:%d' % server.getsockname()[1]), logger=logger))
     peers = [server.accept()[0]]
     until(lambda: link.connection.number == 1)
@@ -293,9 +301,10 @@ def test_a_stop_is_sent_while_replies_are_dropped(bus_link, clock):
 
 def test_a_stall_is_found_before_and_after_the_links_thread_runs_again(held, clock):
     connection = held.connection
-    clock._stopped_at = connection.stalls.awake_at + STALL - 0.01
+    clock.jump()
+    clock.jump(connection.stalls.awake_at + STALL - 0.01 - clock())
     assert not connection.may_be_from_a_stall()
-    clock._stopped_at = connection.stalls.awake_at + STALL + 0.01
+    clock.jump(0.02)
     assert connection.may_be_from_a_stall(), 'before its thread runs'
     held.free.set()
     clock.wait_for(held)
@@ -309,14 +318,14 @@ def test_a_stall_is_found_before_and_after_the_links_thread_runs_again(held, clo
 def test_a_stall_counts_although_the_port_was_closed_or_is_lost_at_its_end(line, sensor, clock):
     """A USB adapter is often gone after the computer was suspended, and back at once."""
     connection = sensor.connection
-    clock._stopped_at = clock() + 15.0
+    clock.jump(15.0)
     line.unplug()
     until(lambda: not sensor.port.is_open)
     clock.wait_for(sensor)
     assert connection.may_be_from_a_stall()
     while connection.may_be_from_a_stall():
         clock.pass_time(sensor, STALL / 2)
-    clock._stopped_at += 15.0
+    clock.jump(15.0)
     line.plug()
     until(lambda: sensor.port.is_open)
     clock.wait_for(sensor)
@@ -336,7 +345,7 @@ def test_a_stall_while_the_port_is_just_being_opened_counts(line, logger, runnin
                            on_status=lambda message, seq, stamp: got.append(seq)))
     assert is_open.wait(PATIENCE)
     line.write(status(1))
-    clock._stopped_at = clock() + 3.0
+    clock.jump(3.0)
     clock.wait_for(link)
     goes_on.set()
     until(lambda: link.connection.stale == len(status(1)))
@@ -349,8 +358,8 @@ def test_a_stall_while_the_port_is_just_being_opened_counts(line, logger, runnin
 def test_a_move_is_not_sent_if_the_bridge_stalls_just_before_its_request_is_written(
         bus_link, clock, monkeypatch):
     def encode(request, *arguments, whole=bus.encode_request):
-        if request.cmd2 == bus.LIFT and clock._stopped_at is None:
-            clock._stopped_at = clock() + 15.0
+        if request.cmd2 == bus.LIFT and not clock.stands:
+            clock.jump(15.0)
         return whole(request, *arguments)
 
     monkeypatch.setattr(bus, 'encode_request', encode)

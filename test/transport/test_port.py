@@ -21,6 +21,13 @@ from serial_communication.transport.holders import Holder, holders_of
 from serial_communication.transport.port import Loan, Port, PortBusy, PortError
 from serial_communication.transport.urls import check_url, read_url
 
+_WRITER = """
+import os, sys
+os.write(int(sys.argv[1]), b'a packet of 22 bytes..')
+while os.read(0, 1):        # it has been read
+    os.write(int(sys.argv[1]), b'a packet of 22 bytes..')
+"""
+
 
 class Reader(threading.Thread):
     """Reads the port until it fails or `stop`, as every link does."""
@@ -94,26 +101,28 @@ def test_a_read_sleeps_until_bytes_are_received(port, line):
 
 
 def test_a_reader_of_real_time_priority_sleeps_once_for_each_packet(port, line):
-    """A poll that waits for the kernel's worker would put it to sleep a second time."""
-    packet, count = b'a packet of 22 bytes..', 200
+    """A poll that waits for the kernel's worker would put it to sleep a second time.
 
-    def read():
+    Another process writes, so that the reader never waits for Python's lock.
+    """
+    count = 200
+
+    def read(writer):
         if not set_priority(10):
             raise PermissionError
         for _ in range(count):
-            port.read(PATIENCE)
+            assert port.read(PATIENCE)
+            writer.stdin.write(b'.')
         with open('/proc/thread-self/status') as file:
             return int(re.search(r'^voluntary\D*(\d+)', file.read(), re.MULTILINE)[1])
 
     def sleeps_once():
-        reader, before = Waiter(read), port.bytes_received
-        for number in range(1, count + 1):
-            line.write(packet)
-            until(lambda: port.bytes_received == before + number * len(packet) or reader.error,
-                  every=0.001)
-        if isinstance(reader.error, PermissionError):
-            pytest.skip('this user may not have real-time priority')
-        return reader.result() < 1.15 * count       # more if it waits for the writer's thread, too
+        with subprocess.Popen([sys.executable, '-c', _WRITER, str(line.fd)], bufsize=0,
+                              stdin=subprocess.PIPE, pass_fds=[line.fd]) as writer:
+            try:
+                return Waiter(read, writer).result() < 1.15 * count
+            except PermissionError:
+                pytest.skip('this user may not have real-time priority')
     assert again_if_stalled(sleeps_once)
 
 
