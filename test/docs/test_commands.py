@@ -22,6 +22,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from pages import PAGES, ROOT, blocks
 from stage import Stage
+from waiting import PATIENCE
 
 sys.path.insert(0, str(ROOT / 'test' / 'firmware'))
 from emulated_board import build_firmware  # noqa: E402
@@ -119,7 +120,7 @@ def test_the_panel_serves_its_page(block, master):
         master.until(lambda: master.links_are_ok(*LINKS), 'all links are OK')
         master.until(lambda: 'panel: http://' in master.output(), 'the page has an address')
         address = re.search(r'panel: (\S+)', master.output()).group(1)
-        with urllib.request.urlopen(address, timeout=10) as page:
+        with urllib.request.urlopen(address, timeout=PATIENCE) as page:
             assert b'<html' in page.read()
 
 

@@ -17,6 +17,7 @@ from board_ends import (
 from compilers import run
 from emulated_board import EmulatedBoard, IMAGES
 from lines import Pty
+from waiting import PATIENCE
 
 # The model car
 
@@ -650,6 +651,7 @@ def test_roslaunch_arguments_and_clear_errors(firmware_build, tmp_path):
              'cannot make the link /no/such/link: No such file or directory'),
             (['--world', 'car', '--control', '/no/such/socket', elf], ''),
             (['--world', 'car', '--frobnicate', elf], '')):
-        status, output = run([os.path.join(firmware_build, 'avr_emulator'), *arguments], timeout=10)
+        status, output = run([os.path.join(firmware_build, 'avr_emulator'), *arguments],
+                             timeout=PATIENCE)
         assert status == 1 and output.strip().endswith(
             words and f'avr_emulator: {words}'), (arguments, output)

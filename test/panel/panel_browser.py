@@ -46,7 +46,14 @@ class Browser:
     def quit(self):
         with contextlib.suppress(WebDriverException):    # it was killed
             self.driver.quit()
-        self._profile.cleanup()
+
+        def is_deleted():
+            try:
+                self._profile.cleanup()
+            except OSError:     # a process of the browser that ends last has written into it
+                return False
+            return True
+        until(is_deleted, 'its profile is deleted')
 
     def open(self, url):
         self.driver.get(url)
@@ -213,23 +220,25 @@ class Browser:
         """Inside this block, no process of the browser runs; the value is when it began."""
         processes = self._processes()
         began = time.monotonic()
-        for process in processes:
-            os.kill(process, signal.SIGSTOP)
+        self._send(signal.SIGSTOP, processes)
         try:
             yield began
         finally:
-            for process in processes:
-                os.kill(process, signal.SIGCONT)
+            self._send(signal.SIGCONT, processes)
 
     @contextlib.contextmanager
     def killed(self):
         """Before this block, kill every process of the browser; the value is when that began."""
         processes = self._processes()
         began = time.monotonic()
-        for process in processes:
-            with contextlib.suppress(ProcessLookupError):    # it ended with another
-                os.kill(process, signal.SIGKILL)
+        self._send(signal.SIGKILL, processes)
         yield began
+
+    @staticmethod
+    def _send(number, processes):
+        for process in processes:
+            with contextlib.suppress(ProcessLookupError):    # it has ended, perhaps with another
+                os.kill(process, number)
 
     def _processes(self):
         """The ids of the browser's processes: the descendants of its driver."""

@@ -13,11 +13,12 @@ import time
 import urllib.error
 import urllib.request
 from collections import deque
+from urllib.parse import urlsplit
 
 import rosgraph
 import rospy
 from boards import (AIR, PATIENCE, BusBoard, CarBoard, Bridge, Line, Output, SensorBoard,
-                    again_if_stalled, level_imu, program, ranges, until)
+                    again_if_stalled, free_master, level_imu, program, ranges, until)
 
 from serial_communication.boards.arduino import wire as arduino
 
@@ -25,14 +26,15 @@ NODE = '/serial_communication'
 TOKEN = 'a-token-of-the-tests'
 # Why nothing was sent, if a stall of this machine kept the command back. It may be repeated.
 KEPT_BACK = re.compile('press again|call again|one call at a time|while the bridge stalled|'
-                       'the board does not answer ECHO; nothing was sent')
+                       'no connection to the panel|(bridge|ROS master) does not answer|'
+                       '; nothing was sent|the board is silent|the port takes no data|'
+                       'the line has not sent')
 GRIPPER = arduino.encode_raw(40, struct.pack('<hhB', -25, 500, 3))     # x -2.5, y 50, z 3
 
 
 def free_port():
-    with socket.socket() as probe:
-        probe.bind(('127.0.0.1', 0))
-        return probe.getsockname()[1]
+    """Like that of a master: no outgoing connection gets it while nobody listens on it."""
+    return urlsplit(free_master()).port
 
 
 @contextlib.contextmanager
@@ -165,8 +167,11 @@ class Panel:
              *([] if name is None else ['__name:=' + name])],
             stdout=self._output, stderr=subprocess.STDOUT,
             env={**os.environ, **(environment or {})})
-        self.url = until(lambda: re.search(r'http://\S+', self.output()) or not self.alive,
-                         'the panel prints its address').group()
+
+        def address():
+            has_ended = not self.alive      # before it is read: it may print it and end meanwhile
+            return re.search(r'http://\S+', self.output()) or has_ended
+        self.url = until(address, 'the panel prints its address').group()
         self.port = int(re.search(r':(\d+)/', self.url).group(1))
         self.token = self.url.partition('#')[2]
 

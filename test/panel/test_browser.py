@@ -13,7 +13,7 @@ from itertools import count, starmap
 
 import pytest
 import rospy
-from boards import Diagnostics, Topic, again_if_stalled, ranges, until
+from boards import PACKAGE, Diagnostics, Topic, again_if_stalled, ranges, settle, until
 from panel_helpers import GRIPPER, KEPT_BACK, NODE, TOKEN, Network, Panel, free_port, suspended
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -77,7 +77,7 @@ def control_page(chromium, control_panel, network, robot):
     chromium.wait_for_text('[data-link="bus"] .summary', 'ready')
     wait_until_settled(chromium)
     robot.car.forget()
-    robot.bus.forget()
+    settle(PACKAGE, robot.bus)
     yield chromium
     chromium.script("document.getElementById('pad')?.blur()")     # no pad: the test failed
     assert chromium.errors() == []
@@ -99,32 +99,57 @@ def press(page, button, holds, what, click=None):
     Args:
         click: how to press it, called with `button`; by default one click.
     """
-    def stalled():
-        newest = ''.join(page.texts('.answers li')[:1])
-        return KEPT_BACK.search(newest)
+    before = page.texts('.answers li')
+
+    def is_kept_back(answers):
+        return KEPT_BACK.search(''.join(answers[:1]))
 
     def press_again():
-        if stalled() and page.all(button + ':enabled'):
-            (click or page.click)(button)
+        # First whether it is enabled: it is not from the click until the page shows an answer.
+        if page.all(button + ':enabled'):
+            answers = page.texts('.answers li')
+            if answers == before or is_kept_back(answers):   # or it was disabled at the click
+                (click or page.click)(button)
     page.wait(lambda page: page.all(button + ':enabled'), f'{button} is enabled')
     (click or page.click)(button)
-    page.wait(lambda page: not stalled() and holds(page), what, doing=press_again)
+    page.wait(lambda page: holds(page) and not is_kept_back(page.texts('.answers li')), what,
+              doing=press_again)
+
+
+def newest_outcome(page):
+    """The outcome of the newest answer."""
+    return page.attribute('.answers li', 'data-outcome')
+
+
+def press_until(page, robot, button, reply, holds, click=None):
+    """Press a button of a function, to which the board sends `reply`, until `holds(page)`; again
+    if a stall dropped the request or the reply."""
+    def tried():
+        before = page.texts('.answers li')      # shown until the page is drawn again
+        settle(PACKAGE, robot.bus)              # a request may still be on its way
+        robot.bus.script.append(reply)
+        press(page, button, lambda page: page.texts('.answers li') != before
+              and (holds(page) or newest_outcome(page) == 'not known'), 'it is answered', click)
+        return holds(page)
+    again_if_stalled(tried)
 
 
 def press_until_done(page, robot, button, reply, click=None):
-    """Press a button of a function until it is done; again if a stall dropped the reply."""
-    def outcome():
-        return page.attribute('.answers li', 'data-outcome')
+    """Press a button of a function until it is done."""
+    press_until(page, robot, button, reply, lambda page: newest_outcome(page) == 'done', click)
 
-    def is_done():
-        before = page.texts('.answers li')      # shown until the page is drawn again
-        robot.bus.forget()
-        robot.bus.script.clear()
-        robot.bus.script.append(reply)
-        press(page, button, lambda page: page.texts('.answers li') != before
-              and outcome() in ('done', 'not known'), 'it is answered', click)
-        return outcome() == 'done'
-    again_if_stalled(is_done)
+
+def open_dialog(page, form):
+    """Press the button of a function until it asks for a confirmation."""
+    dialog = form + 'dialog[open]'
+    page.wait(lambda page: page.all(dialog), 'the dialog is open',
+              doing=lambda: page.all(dialog) or page.click(form + 'button'))
+
+
+def confirm(page, form):
+    """Press the button of a function that asks for a confirmation, and then the one to start."""
+    open_dialog(page, form)
+    page.click(form + 'dialog button')
 
 
 def watch_texts(page, place):
@@ -157,6 +182,8 @@ def test_every_reading_shows_the_value_of_its_topic(page, robot):
     table = {topic.name: topic for topic in TOPICS}
     received = {name: Topic(name.replace('~', NODE + '/'), each) for name, each in types.items()}
     page.wait_for_text('[data-reading="~environment:smoke"] .number', '417')
+    page.wait(lambda page: set(types) <= {each.split(':')[0] for each in page.readings()},
+              'every topic has been received')
     readings = page.readings()
     assert len(readings) >= 18
     seen = set()
@@ -203,8 +230,9 @@ def test_link_cards_show_diagnostics(page):
     diagnostics = Diagnostics()
     for name, status in diagnostics.wait_for_all(TITLES, lambda *_: True, 'a status').items():
         card = f'[data-link="{name}"]'
-        assert page.text(card + ' .card-head .note') == TITLES[name]
-        assert page.text(card + ' .port').replace('\n', '') == status.keys['port']
+        page.wait_for_text(card + ' .card-head .note', TITLES[name])
+        page.wait(lambda page, card=card, port=status.keys['port']: page.text(
+            card + ' .port').replace('\n', '') == port, f'{name}: the port')
         page.script("document.querySelector(arguments[0]).open = true", card + ' details')
 
         def shows_latest(page, name=name, card=card):
@@ -266,15 +294,23 @@ def test_the_read_delay_of_a_board_that_sends_its_time_is_shown(page, robot):
 def test_an_error_is_shown_and_counted_by_its_cause(page, robot):
     card = '[data-link="mcu"]'
     wait_for_attribute(page, card, 'data-health', 'ok')
-    before = int(page.text(card + ' .count'))
     announced = watch_texts(page, '#announcer')
-    for _ in range(3):
+
+    def send_wrong():
         robot.sensors.write(b'\x02\x0c\x10\x00' + bytes(10) + b'\x00\x03')    # a wrong CRC
+
+    def three_are_counted():
+        before = int(page.text(card + ' .count'))
+        for _ in range(3):
+            send_wrong()
+        page.wait_for_updates(50)       # a status of each second; a stall may drop what was sent
+        return int(page.text(card + ' .count')) >= before + 3
+    again_if_stalled(three_are_counted)
     wait_for_attribute(page, card, 'data-health', 'warn')
-    page.wait(lambda page: int(page.text(card + ' .count')) >= before + 3, 'three are counted')
     assert 'checksum' in page.text(card + ' .causes')
     # Or that of the arduino, whose heartbeat is late while this machine is busy.
-    page.wait(lambda page: re.match('! (mcu|arduino): warning', page.title), 'the title shows it')
+    page.wait(lambda page: re.match('! (mcu|arduino): warning', page.title), 'the title shows it',
+              doing=send_wrong, every=0.3)
     assert any('mcu link: warning' in each for each in announced())
     wait_for_attribute(page, card, 'data-health', 'ok')
     assert 'checksum' in page.text(card + ' .causes')       # also when the warning is over
@@ -301,7 +337,7 @@ def test_markup_in_a_text_is_shown_as_text(page, robot):
 def test_the_wire_shows_filters_pauses_and_explains_frames(page, robot):
     page.click('#card-wire > summary')
     page.wait(lambda page: len(page.all('.frame')) == 16, 'frames are shown')
-    for word in ('mcu', 'arduino'):
+    for word in ('mcu', 'arduino', 'bus'):
         page.wait(lambda page: word in page.texts('.chip'), word)
     page.script("[...document.querySelectorAll('.chip')]"
                 ".find(chip => chip.textContent == 'arduino').click()")
@@ -320,7 +356,7 @@ def test_the_wire_shows_filters_pauses_and_explains_frames(page, robot):
                 " && chip.ariaPressed == 'true').forEach(chip => chip.click())")
     page.wait(lambda page: set(page.texts('.frame-link')) == {'mcu \u2190'},
               'only the sensor board is shown')
-    page.script("document.querySelector('.frame').click()")
+    page.script("document.querySelector('.frame:not([data-error])').click()")
     fields = dict(page.script("return [...document.querySelectorAll('.fields > div')].map(field =>"
                               "[field.querySelector('dt').textContent,"
                               " [...field.querySelectorAll('dd')].map(each => each.textContent)])"))
@@ -525,7 +561,7 @@ def test_a_custom_function_is_offered_and_hostile_names_are_shown_as_text(custom
 def test_services_of_a_fourth_board_are_those_of_its_description(custom_page, bridge):
     page, tilt, empty = custom_page, '[data-service="~tilt"] ', '[data-service="~empty"] '
     page.wait(lambda page: page.all(tilt + 'button:enabled'), 'its service is offered')
-    assert page.text(tilt + 'legend') == 'tilt the funnel'
+    page.wait_for_text(tilt + 'legend', 'tilt the funnel')
     assert page.texts(tilt + 'button') == ['\u25b2 out', '\u25bc in']
     assert page.text(tilt + 'label') == 'constructor'        # a unit may have any name
     assert page.attribute(tilt + 'input', 'max') == '30'
@@ -534,12 +570,10 @@ def test_services_of_a_fourth_board_are_those_of_its_description(custom_page, br
     press(page, tilt + 'button:last-of-type', lambda page: page.text('.answers li').startswith(
         'tilt the funnel in 3 constructor done'), 'it is called')
 
-    def confirm(button):
-        page.click(button)
-        assert page.text(empty + 'dialog p') == 'Its water runs out.'
-        page.click(empty + 'dialog button')
-    press(page, empty + 'button', lambda page: 'it is dry' in page.text('.answers li'),
-          'it is called, too', confirm)
+    open_dialog(page, empty)
+    assert page.text(empty + 'dialog p') == 'Its water runs out.'
+    press(page, empty + '> .controls button', lambda page: 'it is dry' in page.text('.answers li'),
+          'it is called, too', lambda _button: confirm(page, empty))
     assert bridge.asked == [(1, 3), 'empty']
 
 
@@ -611,14 +645,18 @@ def test_everybody_can_reach_and_read_everything(control_page):
             assert control_page.script(faint_texts, health) == [], (scheme, health)
     assert backgrounds == ['rgb(14, 17, 20)', 'rgb(243, 244, 246)']
     # Every control is reached by tab, and has a name.
-    wanted = control_page.script(
-        "return [...document.querySelectorAll('button, input, summary, [tabindex]')]"
-        ".filter(e => e.checkVisibility() && !e.disabled).length")
-    control_page.script("document.activeElement.blur(); window.reached = new Set();"
-                        "document.addEventListener('focusin', e => reached.add(e.target))")
-    for _ in range(wanted + 5):
-        control_page.press('\ue004')
-    assert control_page.script('return reached.size') >= wanted
+
+    def all_are_reached():      # unless a stall disables some
+        wait_until_settled(control_page)
+        wanted = control_page.script(
+            "return [...document.querySelectorAll('button, input, summary, [tabindex]')]"
+            ".filter(e => e.checkVisibility() && !e.disabled).length")
+        control_page.script("document.activeElement.blur(); window.reached = new Set();"
+                            "document.addEventListener('focusin', e => reached.add(e.target))")
+        for _ in range(wanted + 5):
+            control_page.press('\ue004')
+        return control_page.script('return reached.size') >= wanted
+    again_if_stalled(all_are_reached)
     nameless = [node for node in control_page.accessibility() if node['role']['value'] in (
         'button', 'textbox', 'spinbutton', 'slider', 'meter', 'image', 'region', 'application')
         and not node.get('name', {}).get('value')]
@@ -637,7 +675,8 @@ def test_a_wrong_amount_moves_nothing_and_a_double_click_moves_once(control_page
             control_page.click(up)
             assert control_page.all(amount + ':invalid')
     control_page.wait_for_updates(15)
-    assert not robot.lift_requests and control_page.all(up + ':enabled')
+    assert not robot.lift_requests
+    control_page.wait(lambda page: page.all(up + ':enabled'), 'it can be pressed')
     press_until_done(control_page, robot, up, bus.Reply(bus.OK), control_page.double_click)
     control_page.wait(lambda page: page.all(up)[0].is_enabled(), 'the button is enabled again')
     assert [request.data for request in robot.lift_requests] == [bytes((0, 20))]
@@ -646,6 +685,7 @@ def test_a_wrong_amount_moves_nothing_and_a_double_click_moves_once(control_page
 
 def test_a_control_is_disabled_until_its_call_is_answered(control_page, robot):
     down, answer = '[data-service="~lift"] button:last-of-type', '.answers li'
+    no_answer = b''             # until the timeout
     # The page itself looks, since the call is under way for a second only.
     control_page.script("""
         const commands = document.querySelector('.commands').parentElement;
@@ -656,10 +696,8 @@ def test_a_control_is_disabled_until_its_call_is_answered(control_page, robot):
         }).observe(commands, {subtree: true, childList: true, attributes: true});""")
 
     def disabled_meanwhile():
-        robot.bus.forget()
-        robot.bus.script.append(b'')        # no answer until the timeout
-        press(control_page, down, lambda page: robot.lift_requests and page.all(down + ':enabled')
-              and page.attribute(answer, 'data-outcome') == 'not known', 'the outcome is not known')
+        press_until(control_page, robot, down, no_answer, lambda page: robot.lift_requests
+                    and page.all(down + ':enabled') and newest_outcome(page) == 'not known')
         assert 'not known' in control_page.text(answer + ' .outcome')
         assert 'check the robot before you repeat it' in control_page.text(answer)
         assert len(robot.lift_requests) == 1
@@ -669,10 +707,9 @@ def test_a_control_is_disabled_until_its_call_is_answered(control_page, robot):
 
 def test_the_outcome_is_not_known_if_the_connection_is_lost(control_page, robot, network):
     def lost():
-        robot.bus.forget()
-        robot.bus.script.append(b'')        # no answer until the timeout
-        press(control_page, '[data-service="~lift"] button', lambda _page: robot.lift_requests,
-              'the board has received it')
+        no_answer = b''         # until the timeout
+        press_until(control_page, robot, '[data-service="~lift"] button', no_answer,
+                    lambda _page: robot.lift_requests)
         with network.cut():
             control_page.wait_for_text('#connection', 'no connection')
         control_page.wait_for_text('#connection', 'live')
@@ -765,7 +802,8 @@ def test_a_setting_is_a_form_with_a_slider_beside_the_boards_own_value(control_p
         tuple(each) for each in robot.car.messages(SettingMessage)], 'the car gets it',
         lambda _button: drag(2.5))
     wait_for_answer(control_page, 'arduino: kp 2.5 done', doing=lambda: report(2.5), every=0.3)
-    control_page.wait_for_text(form + '.board-value', '2.5')
+    control_page.wait(lambda page: page.text(form + '.board-value') == '2.5', 'its new value',
+                      doing=lambda: report(2.5), every=0.3)
     assert value_of(number) == 2.5
 
 
@@ -777,45 +815,43 @@ def test_a_page_that_only_looks_says_so_and_how_to_get_commands(page):
 
 
 def test_calibration_needs_a_confirmation(control_page, robot):
-    packet = arduino.encode(arduino.ImuCalibration())
-    control_page.click('[data-service="~calibrate_imu"] button')
-    control_page.wait(lambda page: page.script("return document.querySelector('dialog').open"),
-                      'the dialog is open')
+    packet, form = arduino.encode(arduino.ImuCalibration()), '[data-service="~calibrate_imu"] '
+    open_dialog(control_page, form)
     control_page.click('#stop')
     wait_for_answer(control_page, 'STOP sent')       # beside the dialog
-    control_page.click('dialog button:last-of-type')
+    control_page.click(form + 'dialog button:last-of-type')
     assert packet not in robot.car.raw_commands
     robot.sends = False          # as a board that calibrates
     try:
-        press(control_page, '[data-service="~calibrate_imu"] button',
+        press(control_page, form + '> .controls button',
               lambda _page: packet in robot.car.raw_commands, 'the board has received it',
-              lambda button: (control_page.click(button), control_page.click('dialog button')))
-        control_page.wait(lambda page: 'calibrating for' in page.text(
-            '[data-service="~calibrate_imu"] .words'), 'the elapsed time is shown')
+              lambda _button: confirm(control_page, form))
+        control_page.wait(lambda page: 'calibrating for' in page.text(form + '.words'),
+                          'the elapsed time is shown')
     finally:
         robot.sends = True
-    control_page.wait(lambda page: page.text('[data-service="~calibrate_imu"] .words') == '',
-                      'the calibration is over')
+    control_page.wait(lambda page: page.text(form + '.words') == '', 'the calibration is over')
 
 
 def test_a_reset_is_asked_for_and_a_lent_link_takes_no_command(control_page, robot):
     reset = '[data-service="~arduino/reset"] '
-    control_page.click(reset + 'button')
-    control_page.wait(lambda page: page.all(reset + 'dialog[open]'), 'the dialog is open')
+    open_dialog(control_page, reset)
     assert 'The car stops' in control_page.text(reset + 'dialog')
     control_page.click(reset + 'dialog button:last-of-type')
     assert not any('reset' in each for each in control_page.texts('.answers li'))
-    press(control_page, reset + 'button',
+    press(control_page, reset + '> .controls button',
           lambda page: 'reset the car refused' in ''.join(page.texts('.answers li')[:1]),
-          'a pseudo terminal has no line for it',
-          lambda button: (control_page.click(button), control_page.click(reset + 'dialog button')))
+          'a pseudo terminal has no line for it', lambda _button: confirm(control_page, reset))
     assert 'has no control lines' in control_page.text('.answers li')
     release = rospy.ServiceProxy(NODE + '/arduino/release', Release)
-    again_if_stalled(lambda: release('me', 10.0).success)
+
+    def reasons(page):
+        return [page.text(f'[data-service="~{link}/reset"] .reason') for link in ('arduino', 'mcu')]
+    until(lambda: release('me', 10.0).success, 'it is lent', every=0.3)
     try:
-        control_page.wait_for_text(reset + '.reason', 'the arduino link is lent to me')
+        control_page.wait(lambda page: reasons(page) == ['the arduino link is lent to me', ''],
+                          'the reason is beside the commands of this link only')
         assert not control_page.all(reset + 'button')[0].is_enabled()
-        assert control_page.texts('[data-service="~mcu/reset"] .reason') == ['']
     finally:
         release('me', 0.0)
     control_page.wait_for_text(reset + '.reason', '')
@@ -879,7 +915,9 @@ def test_a_click_where_another_form_has_vanished_or_appeared_moves_nothing(contr
         announce(tip_over=tip, **({} if gone else {'horn': horn}))
         control_page.wait(lambda page: page.script('return window.reason') is not None,
                           'the forms change')
-        assert control_page.script('return window.reason') == 'the page has just appeared'
+        # The latter only if this machine stalls between an update and its drawing.
+        assert control_page.script('return window.reason') in (
+            'the page has just appeared', 'no connection to the panel')
     try:
         announce(horn=horn, tip_over=tip)
         control_page.wait(lambda page: page.all(form('horn') + ':enabled')
@@ -930,11 +968,14 @@ def test_stop_is_sent_also_while_no_update_is_received(control_page, robot, cont
             control_page.click('#stop')
             robot.car.forget()
         control_page.wait_for_text('#connection', 'live')
+        control_page.wait(lambda _page: 'sending' not in newest_answer(), 'it is answered')
         if not newest_answer().startswith('STOP sent'):
             return False        # this machine stalled, and the page has closed the connection
         # The bridge itself sends one after a stall; STOP is repeated for a second.
-        until(lambda: robot.car.speeds.count(0) > 3, 'SPEED 0 is sent', doing=drive, every=0.05)
-        return True
+        since = time.monotonic()
+        until(lambda: robot.car.speeds.count(0) > 3 or time.monotonic() > since + 3,
+              'SPEED 0 is sent', doing=drive, every=0.05)
+        return robot.car.speeds.count(0) > 3
     try:
         again_if_stalled(stopped)
     finally:
@@ -1058,13 +1099,14 @@ def test_commands_delayed_by_the_network_do_not_drive(control_page, robot, netwo
     control_page.wait_for_text('#connection', 'live')
     control_page.wait_for_updates(15)
     assert not any(robot.car.speeds)
+    control_page.errors()       # the page may have given up the connection
 
 
 def test_a_panel_that_sends_no_updates_stops(control_page, robot, control_panel):
     """Nor does the page show a false reason when the panel continues."""
     troubles = watch_texts(control_page, '#trouble')
-    hold(control_page, robot)
     words = watch_texts(control_page, '#pad-words')
+    hold(control_page, robot)
     with suspended(control_panel.process.pid):
         control_page.wait(lambda page: page.attribute('#pad', 'data-held') is None, 'the hold ends')
         assert any(each.startswith('stopped: ') for each in words())
@@ -1107,7 +1149,7 @@ NO_REPEATS = 'stopped: the key no longer repeats; press it again'
 
 def check_pads(page, expected):
     """Check the words that a pad shows after some steps, and whether it drives."""
-    found = page.driver.execute_async_script(read_script('pads'), list(expected))
+    found = page.script_until_done(read_script('pads'), list(expected))
     assert dict(zip(expected, found)) == {
         steps: [words, words.startswith('speed'), words.startswith('speed')]
         for steps, words in expected.items()}
@@ -1160,8 +1202,8 @@ def test_of_an_unplugged_line_old_values_are_shown_and_no_commands_taken(control
     page, card, reading = control_page, '[data-link="arduino"]', '[data-reading="~voltage:voltage"]'
     robot.lines['arduino'].unplug()
     try:
+        page.wait(lambda page: page.text(card + ' .summary').startswith('closed: '), 'it is closed')
         wait_for_attribute(page, card, 'data-health', 'error')
-        assert page.text(card + ' .summary').startswith('closed: ')
         wait_for_attribute(page, reading, 'data-state', 'stale')
         assert page.text(reading + ' .age').endswith(' old')
         wait_for_attribute(page, '[data-range="mcu/range_1:range"]', 'data-state', 'fresh')
@@ -1178,21 +1220,24 @@ def test_of_an_unplugged_line_old_values_are_shown_and_no_commands_taken(control
         page.press_at('#pad', 0, -60)
         assert page.attribute('#pad', 'data-held') is None
         page.release()
-        assert page.all('[data-service="~lift"] button')[0].is_enabled()
+        page.wait(lambda page: page.all('[data-service="~lift"] button:enabled'),
+                  'the commands of the other link are enabled')
         assert page.all('#stop')[0].is_enabled()
     finally:
         robot.lines['arduino'].plug()
     page.wait(lambda page: page.text('[data-service="~led"] .reason') == ''
               and page.attribute('#pad', 'aria-disabled') is None, 'they are enabled again')
     wait_for_attribute(page, card, 'data-health', 'ok')
-    wait_for_attribute(page, reading, 'data-state', 'fresh')
-    assert page.text(reading + ' .age') == ''
+    page.wait(lambda page: page.attribute(reading, 'data-state') == 'fresh'
+              and page.text(reading + ' .age') == '', 'its values are new')
 
 
 def test_the_page_shows_a_restart_of_the_bridge(page, robot):
+    wait_for_attribute(page, '[data-link="bus"]', 'data-health', 'ok')
     robot.bridge.end()
     page.wait(lambda page: 'no bridge ' + NODE in page.text('#trouble'), 'the page shows it')
-    assert page.attribute('[data-link="bus"]', 'data-health') in ('none', 'ok')
+    # A warning if this machine stalled just before.
+    assert page.attribute('[data-link="bus"]', 'data-health') in ('none', 'ok', 'warn')
     wait_for_attribute(page, '[data-link="bus"]', 'data-health', 'none')
     robot.start_bridge()
     page.wait(lambda page: page.text('#trouble') == '', 'the trouble is over')
@@ -1206,15 +1251,19 @@ def test_the_page_shows_a_restart_of_the_master(control_page, robot, core):
     core.stop()
     page.wait(lambda page: 'no answer from the ROS master' in page.text('#trouble'),
               'the page shows it')
-    assert page.text('#connection') == 'not live'
+    page.wait_for_text('#connection', 'not live')
     page.wait(lambda page: 'no answer from the ROS master' in page.text(
         '[data-service="~lift"] .reason'), 'the reason is shown')
     assert not page.all('[data-service="~lift"] button')[0].is_enabled()
     shown = page.text('#trouble')
     page.wait(lambda page: page.text('#trouble') not in ('', shown), 'its age counts up')
-    # A screen reader hears of it once, without the age that changes ten times a second.
+    # A screen reader hears of it once, without the age that changes ten times a second; again
+    # after this machine has stalled the panel.
     shown = [each for each in alarms() if each]
-    assert len(shown) == 1 and 'no answer from the ROS master' in shown[0]
+    stalls = [each for each in shown if 'no connection to the panel' in each]
+    others = [each for each in shown if each not in stalls]
+    assert len(others) <= 1 + len(stalls) and len(set(others)) == 1
+    assert 'no answer from the ROS master' in others[0]
     core.start()
     page.wait(lambda page: page.text('#trouble') == '', 'the trouble is over')
     page.wait_for_text('#connection', 'live')
@@ -1282,8 +1331,8 @@ def test_a_click_in_a_window_that_another_site_has_opened_moves_nothing(control_
             wait_for_answer(page, 'STOP sent')        # at once
             page.driver.refresh()                     # with the right clock
             wait_until_settled(page)
-            press(page, up, lambda _page: robot.lift_requests,
-                  'a click moves the lift when a second has passed', page.click_now)
+            # A click moves the lift when a second has passed.
+            press_until(page, robot, up, None, lambda _page: robot.lift_requests, page.click_now)
             robot.bus.forget()
     site.shutdown()
     page.open(network.url)

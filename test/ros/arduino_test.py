@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """The arduino link: measurements with their exact values, commands with their exact bytes, the
 heartbeat, the speed timeout, the calibration and the board's log lines."""
+import re
 import unittest
 
 import rospy
@@ -12,7 +13,8 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Empty
 
 from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Diagnostics, Rosout,
-                    Topic, command_topic, level_imu, service, stamped, until, values_of)
+                    Topic, again_if_stalled, command_topic, level_imu, service, stamped, until,
+                    values_of)
 from serial_communication.framing.announcement import chunks_of
 from serial_communication.link.outcome import Verdict
 from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
@@ -57,11 +59,14 @@ class ArduinoTest(unittest.TestCase):
         until(lambda: len(self.board.raw_commands) >= number, '%d commands on the wire' % number)
         return self.board.raw_commands[:number]
 
-    def drive(self, *speeds):
-        """Send each when the one before is on the wire, since only the newest may wait."""
-        for number, value in enumerate(speeds, 1):
-            self.speed.publish(value=value)
-            self.sent(number)
+    def arrives(self, topic, message):
+        """Publish a command; False if a stall of this machine kept it back: it is not on the wire
+        after 200 heartbeats."""
+        number, beats = len(self.board.raw_commands) + 1, self.board.heartbeats() + 200
+        topic.publish(message)
+        until(lambda: len(self.board.raw_commands) >= number or self.board.heartbeats() > beats,
+              'a command or heartbeats on the wire')
+        return len(self.board.raw_commands) >= number
 
     def assert_vector(self, vector, expected, places=6):
         for value, wanted in zip(values_of(vector, *XYZ), expected):
@@ -115,15 +120,19 @@ class Commands(ArduinoTest):
     """Commands for speed, steering and LED, and the heartbeat."""
 
     def test_commands_have_their_exact_bytes(self):
-        self.drive(400, -1000, 0)
-        self.assertEqual(self.sent(3), [bytes.fromhex('0404900100'), bytes.fromhex('040418fc00'),
-                                        SPEED_0_PACKET])
-        self.board.forget()
-        self.steering.publish(value=1500)
-        self.assertEqual(self.sent(1), [bytes.fromhex('0405dc0500')])
-        self.board.forget()
-        self.led.publish('left')
-        self.assertEqual(self.sent(1), [bytes.fromhex('06066c6566740100')])
+        speeds = [(self.speed, SpeedPWMCommand(value=value)) for value in (400, -1000, 0)]
+        for commands, packets in (
+                (speeds, [bytes.fromhex('0404900100'), bytes.fromhex('040418fc00'),
+                          SPEED_0_PACKET]),
+                ([(self.steering, SteeringPWMCommand(value=1500))], [bytes.fromhex('0405dc0500')]),
+                ([(self.led, String('left'))], [bytes.fromhex('06066c6566740100')])):
+            def sends_them(commands=commands, packets=packets):
+                self.board.forget()
+                # Each when the one before is on the wire, since only the newest may wait.
+                arrived = all([self.arrives(*command) for command in commands])
+                print(self.board.raw_commands)
+                return arrived and self.board.raw_commands == packets
+            again_if_stalled(sends_them)
 
 
 class Calibration(ArduinoTest):
@@ -132,9 +141,8 @@ class Calibration(ArduinoTest):
     def test_a_calibration_stops_the_car_and_blocks_commands_until_it_ends(self):
         topic = self.topic('imu/calibrating', Bool)
         self.assertFalse(topic.first().data)         # latched
-        self.speed.publish(value=200)
-        self.sent(1)
-        service('/serial_communication/calibrate_imu', Empty)()
+        again_if_stalled(lambda: self.arrives(self.speed, SpeedPWMCommand(value=200)))
+        until(self.calibrates, 'the board calibrates its IMU', every=0.2)
         self.assertEqual(self.sent(3), [bytes.fromhex('0304c80100'), SPEED_0_PACKET,
                                         CALIBRATION_PACKET])
         topic.first(lambda m: m.data)
@@ -154,15 +162,27 @@ class Calibration(ArduinoTest):
         until(lambda: not late.messages[-1].data, 'the calibration is over',
               doing=lambda: self.board.say(level_imu()), every=2.5)
         self.assertEqual(len(self.board.raw_commands), 3)
-        self.steering.publish(value=1234)
+        until(lambda: len(self.board.raw_commands) > 3, 'commands are sent again', every=0.1,
+              doing=lambda: self.steering.publish(value=1234))
         self.assertEqual(self.sent(4)[3], bytes.fromhex('0405d20400'))
         self.assertEqual(self.board.speeds, [200, 0])
 
+    def calibrates(self):
+        """Whether the service succeeds; it is refused after a stall of this machine."""
+        try:
+            service('/serial_communication/calibrate_imu', Empty)()
+        except rospy.ServiceException as error:
+            self.assertIn('status 253 (not sent)', str(error))
+            return False
+        return True
+
     def test_calibrate_imu_is_a_service_error_if_the_port_is_closed(self):
-        with self.assertRaises(rospy.ServiceException) as caught:
-            service('/closed/calibrate_imu', Empty)()
-        self.assertRegex(str(caught.exception), r'status 253 \(not sent\): .* closed')
-        self.assertIs(read_error(caught.exception)[0], Verdict.REFUSED)
+        def says_that_it_is_closed():       # or that it may have waited during a stall
+            with self.assertRaises(rospy.ServiceException) as caught:
+                service('/closed/calibrate_imu', Empty)()
+            self.assertIs(read_error(caught.exception)[0], Verdict.REFUSED)
+            return re.search(r'status 253 \(not sent\): .* closed', str(caught.exception))
+        until(says_that_it_is_closed, 'the error says that the port is closed', every=0.2)
 
 
 class Logs(ArduinoTest):
@@ -171,19 +191,20 @@ class Logs(ArduinoTest):
     def test_log_lines_of_the_board_keep_their_severity(self):
         for severity, level in enumerate((Log.INFO, Log.WARN, Log.ERROR), 1):
             text = 'a line of severity %d' % severity
-            self.board.say(arduino.Log(severity, text))
-            ROSOUT.wait_for(self.node, text, level)
+            message = arduino.Log(severity, text)
+            ROSOUT.wait_for(self.node, text, level, lambda m=message: self.board.say(m))
 
     def test_debug_lines_of_the_board_are_logged_once_the_service_asks_for_them(self):
-        self.board.say(arduino.Log(0, 'a line that nobody asked for'))
-        self.board.say(arduino.Log(1, 'the line after it'))
-        ROSOUT.wait_for(self.node, 'the line after it', Log.INFO)
+        ROSOUT.wait_for(self.node, 'the line after it', Log.INFO, lambda: (
+            self.board.say(arduino.Log(0, 'a line that nobody asked for')),
+            self.board.say(arduino.Log(1, 'the line after it'))))
         self.assertEqual(ROSOUT.lines(self.node, 'a line that nobody asked for'), [])
+        text = 'a line that was asked for'
         for level in 'DEBUG', 'INFO':
             service('/serial_communication/set_logger_level', SetLoggerLevel)('rosout', level)
             if level == 'DEBUG':
-                self.board.say(arduino.Log(0, 'a line that was asked for'))
-                ROSOUT.wait_for(self.node, 'a line that was asked for', Log.DEBUG)
+                ROSOUT.wait_for(self.node, text, Log.DEBUG,
+                                lambda: self.board.say(arduino.Log(0, text)))
 
 
 class Tuned(ArduinoTest):
@@ -213,10 +234,9 @@ class Tuned(ArduinoTest):
         diagnostics = Diagnostics(self.node)
         self.addCleanup(diagnostics.close)
         row = b'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data]}'
-        for chunk in chunks_of(row, 20):
-            self.board.say(chunk)
-        self.board.say(arduino.Log(1, 'the line after it'))
-        ROSOUT.wait_for(self.node, 'the line after it')
+        messages = [*chunks_of(row, 20), arduino.Log(1, 'the line after it')]
+        ROSOUT.wait_for(self.node, 'the line after it',
+                        doing=lambda: [self.board.say(message) for message in messages])
         diagnostics.fresh('arduino', lambda status: 'announced' not in status.keys
                           and status.keys['unknown type errors'] == '0', 'no announcement')
         self.assertNotIn('/tuned/force', [name for name, _ in rospy.get_published_topics()])
@@ -225,12 +245,14 @@ class Tuned(ArduinoTest):
         self.board.wait_for_heartbeat_rate(10, 50, number=40)
 
     def test_a_speed_timeout_of_0_never_stops_the_motor(self):
-        self.speed.publish(value=300)
-        self.sent(1)
-        self.board.wait_for_heartbeats(40)      # a second
-        self.assertEqual(self.board.speeds, [300])
-        self.speed.publish(value=0)
-        self.sent(2)
+        def goes_on():      # unless this machine stalls
+            self.board.forget()
+            if self.arrives(self.speed, SpeedPWMCommand(value=300)):
+                self.board.wait_for_heartbeats(40)      # a second
+            return self.board.speeds == [300]
+        again_if_stalled(goes_on)
+        until(lambda: self.board.speeds[-1:] == [0], 'it stops when it is told', every=0.1,
+              doing=lambda: self.speed.publish(value=0))
 
 
 if __name__ == '__main__':

@@ -127,6 +127,7 @@ class SlowSubscriber(unittest.TestCase):
         self.publish('behind it')
         self.assertTrue(other.read() == _BIG)
         self.assertEqual(other.read(), 'behind it')
+        until(lambda: len(self.slow_subscribers()) < 2, 'everything is sent to this one')
         self.assertEqual(len(self.slow_subscribers()), 1, 'the first one has not read a byte')
         self.assertTrue(self.slow.read() == _BIG)
         self.assertEqual(self.slow.read(), 'behind it')

@@ -14,8 +14,8 @@ import rospy
 import rostest
 from geometry_msgs.msg import Vector3Stamped
 
-from boards import (ERROR, OK, Output, PACKAGE, PATIENCE, Diagnostics, Line, Topic, own_folder,
-                    program, until)
+from boards import (ERROR, OK, Output, PACKAGE, PATIENCE, Diagnostics, Line, Topic,
+                    again_if_stalled, own_folder, program, until)
 from serial_communication.msg import SerialMsg
 
 PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'developing.md'
@@ -108,11 +108,18 @@ class ExternalBoard(unittest.TestCase):
         def errors(status):
             return int(status.keys['checksum errors'])
 
-        before = errors(self.diagnostics.fresh('wind', lambda s: True, 'any status'))
-        self.wind.forget()
-        self.say(b'$WIMWV,0' + GUST + GUST.replace(b'0', b'1', 1) + GUST)
-        until(lambda: len(self.wind.messages) == 2, 'both valid sentences')
-        self.diagnostics.fresh('wind', lambda s: errors(s) == before + 1, 'one more')
+        def reads_all_but_one():
+            before = self.diagnostics.fresh('wind', lambda s: True, 'any status')
+            self.wind.forget()
+            self.say(b'$WIMWV,0' + GUST + GUST.replace(b'0', b'1', 1) + GUST)
+
+            def is_stale(status):       # this machine stalled the bridge
+                return status.keys['stale'] != before.keys['stale']
+            status = self.diagnostics.fresh(
+                'wind', lambda s: is_stale(s) or len(self.wind.messages) >= 2
+                and errors(s) == errors(before) + 1, 'both valid sentences and one more error')
+            return not is_stale(status)
+        again_if_stalled(reads_all_but_one)
 
     def test_its_port_may_vanish_and_return_and_its_parameters_are_as_given(self):
         self.line.unplug()
@@ -127,10 +134,13 @@ class ExternalBoard(unittest.TestCase):
                    '--seed', '1')
         self.wind.next(lambda m: abs(hypot(m.vector.x, m.vector.y) - 5) < 1e-6)
         self.diagnostics.fresh('wind', lambda s: s.level == OK, 'the link is OK')
-        status, output = self.run_program('monitor', '--once')
-        self.assertEqual(status, 0, output)
-        self.assertRegex(output, r'(?m)^wind +OK ')
-        self.assertRegex(output, r'(?m)^wind +[\d.]+ Hz  vector')
+
+        def shown():        # unless this machine stalls
+            status, output = self.run_program('monitor', '--once')
+            print(status, output)
+            return status == 0 and re.search(r'(?m)^wind +OK ', output) \
+                and re.search(r'(?m)^wind +[\d.]+ Hz  vector', output)
+        again_if_stalled(shown)
 
     def test_its_frames_are_explained_by_the_name_of_the_link_and_of_the_package(self):
         status, output = self.run_program('wire', 'explain', 'wind', '--config', self.config,

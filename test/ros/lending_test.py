@@ -163,7 +163,7 @@ class LendingTest(BoardsTest):
         process, began = self.borrow(), time.monotonic()
         self.check_state(WARN, 'lent to python3 (pid %d)' % process.pid)
         shown = subprocess.run([program('monitor'), '--once'], stdout=subprocess.PIPE,
-                               universal_newlines=True, timeout=30)
+                               universal_newlines=True, timeout=PATIENCE)
         self.assertIn('lent to python3 (pid %d)' % process.pid, shown.stdout)
         until(lambda: time.monotonic() > began + LOAN, 'the loan was renewed')
         self.assertEqual(bytes(self.board.wire), b'')
@@ -210,7 +210,8 @@ class LendingTest(BoardsTest):
                 (125, 'no bridge /serial_communication with a port of mcu', ['mcu', '--', 'true']),
                 (125, 'no bridge /other with', ['arduino', '--node', 'other', '--', 'true'])):
             done = subprocess.run([program('release'), *arguments], stdout=subprocess.PIPE,
-                                  stderr=subprocess.STDOUT, universal_newlines=True, timeout=30)
+                                  stderr=subprocess.STDOUT, universal_newlines=True,
+                                  timeout=PATIENCE)
             self.assertEqual(done.returncode, status, done.stdout)
             self.assertIn(words, ' '.join(done.stdout.split()))
         self.assertTrue(service('/%s/arduino/release' % PACKAGE, Release)('me', 60.0).success)
@@ -233,6 +234,7 @@ class LendingTest(BoardsTest):
             self.board.forget()
             process = self.program(sys.executable, '-c', BORROW, '{port}', '0')
             until(lambda: SPEED_0_PACKET in self.board.wire, 'SPEED 0', every=0.0005)
+            self.board.forget()
             self.check_victim(victim, process)
 
     def test_kill_while_the_port_is_given_back(self):
@@ -253,7 +255,6 @@ class LendingTest(BoardsTest):
 
     def check_victim(self, kill, process):
         """After the kill the port is opened with SPEED 0, and the car is driven again."""
-        self.board.forget()
         kill(process)
         self.check_back()
         process.wait(PATIENCE)
@@ -299,9 +300,11 @@ class LendingTest(BoardsTest):
         self.check_back(4.0)
 
     def test_kill_of_the_bridge_that_does_not_return(self):
-        process = self.borrow(2.0)
+        process = self.borrow()
         self.bridge.kill()
-        self.assertIn('the loan is not renewed', self.ends(process, 0))
+        self.assertIn('the loan is not renewed', process.stdout.readline())
+        os.kill(self.children_of(process)[0], signal.SIGUSR1)
+        self.ends(process, 0)
         self.start_car_bridge()
         self.check_back()
 

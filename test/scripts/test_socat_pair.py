@@ -23,7 +23,7 @@ def fixture_pair(tmp_path):
     yield start
     for process in started:
         process.kill()
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE)
 
 
 def until_linked(folder, *names):

@@ -12,6 +12,7 @@ import termios
 import pytest
 from serial_communication.boards import description
 from serial_communication.ros.parameter import baud
+from waiting import PATIENCE
 from wire_lines import ROOT
 
 PAGE = open(os.path.join(ROOT, 'doc', 'developing.md'), encoding='utf-8').read()
@@ -73,6 +74,6 @@ def test_a_rate_that_the_bridge_refuses_is_refused_by_every_program(folder, give
                       ['ports', '--config', config, '/dev/null']):
         done = subprocess.run([sys.executable, f'{ROOT}/scripts/{arguments[0]}',
                                *map(str, arguments[1:])], stdout=subprocess.PIPE,
-                              stderr=subprocess.PIPE, text=True, timeout=30)
+                              stderr=subprocess.PIPE, text=True, timeout=PATIENCE)
         assert done.returncode == 2 and "arduino/baud is " in done.stderr
         assert 'may be a whole number from 50 to 4000000 (baud)' in done.stderr

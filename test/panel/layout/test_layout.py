@@ -82,8 +82,9 @@ def test_no_other_control_comes_under_the_pointer(shaky, browsers):
             bridge.process.send_signal(signal.SIGSTOP)
             try:
                 for browser in browsers:
-                    browser.wait(lambda page: 'has reported nothing' in page.text('#trouble'),
-                                 'the trouble is shown')
+                    browser.wait(lambda page: 'has reported nothing' in page.text('#trouble')
+                                 and 'none' in page.script('return [...healths]'),
+                                 'the trouble is shown, and noted')
             finally:
                 bridge.process.send_signal(signal.SIGCONT)
         until(lambda end=end: time.monotonic() > end, 'the time has passed', SECONDS)

@@ -17,9 +17,9 @@ import pytest
 import qrcode
 import rosgraph
 import rospy
-from boards import PATIENCE, again_if_stalled, program, until
-from panel_helpers import (NODE, TOKEN, Page, Panel, post, publishers_and_subscribers, request,
-                           subscribed, suspended)
+from boards import PACKAGE, PATIENCE, again_if_stalled, program, settle, until
+from panel_helpers import (KEPT_BACK, NODE, TOKEN, Page, Panel, post, publishers_and_subscribers,
+                           request, subscribed, suspended)
 
 from std_msgs.msg import Float32
 
@@ -57,7 +57,7 @@ def driver(control_panel, robot):
         until(lambda: robot.car.connected, 'the car is connected')
         until(lambda: publishes(control_panel), 'the panel publishes speeds')
         robot.car.forget()
-        robot.bus.forget()
+        settle(PACKAGE, robot.bus)
         yield page
     until(lambda: not page.known.get('drive', {}).get('held') or page.closed, 'no page drives')
 
@@ -196,14 +196,14 @@ sys.exit(cli.main(['--port', '0']))
 ], ids=['before', 'after'])
 def test_a_name_taken_during_registration_ends_the_panel(meanwhile):
     done = subprocess.run(['/usr/bin/python3', '-c', _NAME_TAKEN % meanwhile], text=True,
-                          timeout=30, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+                          timeout=PATIENCE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert done.returncode == 1, done.stderr
     assert done.stderr.count('ROS has ended this node') == 1 and 'Traceback' not in done.stderr
 
 
 def test_a_second_panel_of_the_same_name_ends_and_the_first_continues(panel):
     second = Panel(name='panel_read_only')
-    assert second.process.wait(30) == 3
+    assert second.process.wait(PATIENCE) == 3
     second.wait_for('another node is named /panel_read_only')
     second.wait_for('or name this one: __name:=panel_read_only_2')
     assert 'Traceback' not in second.output()
@@ -216,7 +216,7 @@ def test_a_name_taken_later_ends_the_panel(robot):
     until(lambda: is_registered('/panel_taken'), 'it is registered')
     rosgraph.Master('/panel_taken').registerSubscriber(
         '/chatter', 'std_msgs/String', 'http://localhost:1/')
-    assert panel.process.wait(30) == 1
+    assert panel.process.wait(PATIENCE) == 1
     panel.wait_for('panel: ROS has ended this node')
 
 
@@ -501,17 +501,47 @@ def wait_until_refused(page, *keys):
     return [page.refusals[key] for key in keys]
 
 
-def test_a_page_that_has_just_been_opened_takes_no_command_but_stop(control_panel, robot):
-    robot.car.forget()
-    robot.bus.forget()
+_KEYS = count()      # of commands: a page also receives the calls of earlier ones
 
+
+def why_refused(page, *sends):
+    """Why commands are refused, which these functions send with a key; again if a stall of this
+    machine kept one back."""
+    def reasons():
+        keys = [f'refused {next(_KEYS)}' for _ in sends]
+        for send, key in zip(sends, keys):
+            send(key)
+        words = wait_until_refused(page, *keys)
+        return words if not any(map(KEPT_BACK.search, words)) else None
+    return again_if_stalled(reasons)
+
+
+def call_until_known(page, robot, name, reply=None, **arguments):
+    """Call a function, to which the board sends `reply` (None: the usual one), and return the
+    answer; again if a stall dropped the request or the reply."""
+    def answered():
+        settle(PACKAGE, robot.bus)      # a request may still be on its way
+        robot.bus.script.append(reply)
+        answer = page.call(name, **arguments)
+        return answer['outcome'] != 'not known' and answer
+    return again_if_stalled(answered)
+
+
+def test_a_page_that_has_just_been_opened_takes_no_command_but_stop(control_panel, robot):
     def refused_early():
+        robot.car.forget()
+        settle(PACKAGE, robot.bus)
         with Page(control_panel, TOKEN) as page:
+            last = f'early {next(_KEYS)}'
             page.send(stop={'key': 'early stop'})
-            lift(page, 'early')
-            page.send(led={'key': 'early led', 'text': 'left'})
             drive(page, 1)
-            words = set(wait_until_refused(page, 'early', 'early led', 'drive'))
+            page.send(led={'key': 'early led', 'text': 'left'})
+            lift(page, last)
+            page.until(lambda page: last in page.refusals
+                       or page.calls.get(last, {}).get('outcome'), 'the last one is answered')
+            if last in page.calls:      # this machine stalled for longer than the first second
+                return False
+            words = set(wait_until_refused(page, last, 'early led', 'drive'))
             assert 'just appeared' not in page.refusals.get('early stop', '')
             page.settle()
         return words == {'nothing was sent: the page has just appeared; press again'}
@@ -520,7 +550,7 @@ def test_a_page_that_has_just_been_opened_takes_no_command_but_stop(control_pane
 
 
 def test_a_call_is_executed_and_answered(driver, robot):
-    found = driver.call('~lift', direction=0, distance=17)
+    found = call_until_known(driver, robot, '~lift', direction=0, distance=17)
     assert found['outcome'] == 'done' and 'lift up 17 mm' in found['words']
     assert [request.data for request in robot.lift_requests] == [bytes((0, 17))]
 
@@ -529,7 +559,7 @@ def test_a_double_click_moves_once(driver, robot):
     attempts = count()
 
     def clicked_often():
-        robot.bus.forget()
+        settle(PACKAGE, robot.bus)      # a request may still be on its way
         first, *more, last = (f'{word} {next(attempts)}'
                               for word in ('first', 'second', 'third', 'last'))
         for key in first, *more:
@@ -565,18 +595,11 @@ _WEIGHT = bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841'))
 
 
 def test_a_reply_is_shown_with_its_outcome_and_its_fields_if_it_is_done(driver, robot):
-    def call(name, reply):
-        def answered():     # not if a stall of this machine dropped the request or the reply
-            robot.bus.script.clear()
-            robot.bus.script.append(reply)
-            answer = driver.call(name)
-            return answer['outcome'] != 'not known' and answer
-        return again_if_stalled(answered)
     for name in '~weigh', '~beep', '~dock':
-        answer = call(name, _REFUSED)
+        answer = call_until_known(driver, robot, name, _REFUSED)
         assert (answer['outcome'], answer['reply'], answer['words']) == (
             'refused', [], 'the board refused: 0x8002: the operation failed'), name
-    answer = call('~weigh', _WEIGHT)
+    answer = call_until_known(driver, robot, '~weigh', _WEIGHT)
     assert (answer['outcome'], answer['reply']) == (
         'done', [['environment.smoke', '1234'], ['environment.temperature', '23'],
                  ['environment.humidity', '0']])
@@ -593,7 +616,7 @@ def test_the_outcome_of_a_call_is_not_known_if_the_bridge_dies(driver, robot):
 
     def killed_by_its_call():
         # A call that a board without processor time has not received is dropped.
-        robot.bus.script.clear()
+        settle(PACKAGE, robot.bus)
         robot.bus.script.append(kill)
         answer = driver.call('~beep')
         return answer if killed else None
@@ -603,14 +626,14 @@ def test_the_outcome_of_a_call_is_not_known_if_the_bridge_dies(driver, robot):
 
 
 def test_invalid_calls_are_refused(driver, robot):
-    for number, (name, arguments, words) in enumerate((
+    for name, arguments, words in (
             ('~lift', {'direction': 0}, 'takes direction, distance'),
             ('~lift', {'direction': 0, 'distance': 300}, '~lift'),
             ('~lift', {'direction': 0, 'distance': 'x'}, '~lift'),
-            ('~get_loggers', {}, 'not a service'), ('/rosout/get_loggers', {}, 'not a service'))):
-        key = f'wrong {number}'
-        call(driver, key, name, **arguments)
-        assert words in wait_until_refused(driver, key)[0]
+            ('~get_loggers', {}, 'not a service'), ('/rosout/get_loggers', {}, 'not a service')):
+        why, = why_refused(driver, lambda key, name=name, arguments=arguments: call(
+            driver, key, name, **arguments))
+        assert words in why
     assert not robot.lift_requests
     # All times have the same digits: a page takes one that is before another for a restart.
     assert all(update['now'] == round(update['now'], 4) for update in list(driver.updates))
@@ -650,9 +673,9 @@ def test_what_a_message_cannot_carry_is_refused_and_so_is_a_second_one_at_once(d
     driver.until(lambda page: '~gripper' in page.known.get('controls', {}).get('messages', ()),
                  'it is offered')
     again_if_stalled(sent_twice)
-    gripper('wrong', 50.1)
-    driver.send(led={'key': 'long', 'text': 'x' * 31})
-    wrong, long = wait_until_refused(driver, 'wrong', 'long')
+    wrong, long = why_refused(
+        driver, lambda key: gripper(key, 50.1),
+        lambda key: driver.send(led={'key': key, 'text': 'x' * 31}))
     assert wrong == 'gripper: y is 50.1, out of range (0 \u2026 50)'
     assert long.startswith('the LED takes at most 30 ASCII characters')
 
@@ -821,7 +844,9 @@ def test_no_page_drives_while_another_program_does(driver, teleop, robot):
         robot.car.forget()
         for hold in islice(holds, 20):
             keep_driving(driver, hold, 1)
-        driver.until(is_refused('/panel_test commands the car'), 'it is refused, with the reason')
+        until(lambda: is_refused('/panel_test commands the car')(driver),
+              'it is refused, with the reason', doing=lambda: drive(driver, next(holds)),
+              every=0.04)
         return set(robot.car.speeds) <= {300}
     again_if_stalled(is_the_only_one)       # for half a second: then the page may drive
 
@@ -837,12 +862,17 @@ def test_a_speed_0_of_another_program_ends_a_hold(driver, teleop, robot):
 def test_stop_is_repeated_against_a_program_that_goes_on_and_says_so(driver, teleop, robot):
     teleop.speed = 300
     until(drives(robot, 300), 'it drives')
-    robot.car.forget()
-    driver.send(stop={'key': 'against'})
-    driver.until(lambda page: page.calls.get('against', {}).get('outcome') == 'not known',
-                 'the page says that it goes on')
-    assert '/panel_test goes on sending speeds' in driver.calls['against']['words']
-    assert robot.car.speeds.count(0) >= 3
+
+    def goes_on():
+        robot.car.forget()
+        key, since = f'against {next(_KEYS)}', time.monotonic()
+        driver.send(stop={'key': key})
+        # Only a speed in the first second counts, and a stall may delay all of them.
+        until(lambda: driver.calls.get(key, {}).get('outcome') == 'not known'
+              or time.monotonic() > since + 3, 'the page says that it goes on')
+        answer = driver.calls.get(key, {})
+        return answer.get('outcome') == 'not known' and robot.car.speeds.count(0) >= 3 and answer
+    assert '/panel_test goes on sending speeds' in again_if_stalled(goes_on)['words']
     teleop.speed = 0
 
 
@@ -938,7 +968,8 @@ def look_up(panel):
     """Let the panel look up a service."""
     page = Page(panel, TOKEN).settle()
     lift(page, 'key')
-    page.until(lambda page: 'key' in page.calls, 'the call is under way')
+    page.until(lambda page: 'key' in page.calls or 'key' in page.refusals,
+               'the call is under way, or a stall of this machine made it too old')
 
 
 @pytest.mark.parametrize('number, action', [
@@ -1028,18 +1059,28 @@ def test_a_token_is_exchanged_also_if_the_next_one_cannot_be_printed(robot, end)
 
 @pytest.mark.parametrize('by', ['master', 'bridge'])
 def test_a_call_delayed_by_the_master_or_the_bridge_moves_nothing(driver, robot, core, by):
-    key = f'delayed by the {by}'
-    with core.hung() if by == 'master' else suspended(robot.bridge.process.pid):
-        lift(driver, key)
-        driver.until(lambda page: key in page.calls, 'the call is under way')
-        if by == 'bridge':
-            assert 'the bridge does not answer' in wait_for_answer(driver, key)['words']
-        else:
-            wait(2.5)
-            assert not driver.calls[key].get('outcome')
-    answer = wait_for_answer(driver, key)
-    assert answer['outcome'] == 'refused' and 'nothing was sent' in answer['words']
-    assert driver.call('~lift', direction=0, distance=17)['outcome'] == 'done'
+    def delayed():
+        key = f'delayed by the {by} {next(_KEYS)}'
+        wait(0.6)       # or a second try may be a double click
+        with core.hung() if by == 'master' else suspended(robot.bridge.process.pid):
+            lift(driver, key)
+            driver.until(lambda page: key in page.calls or key in page.refusals,
+                         'the call is under way')
+            if key in driver.refusals:
+                return False        # this machine stalled
+            if by == 'bridge':
+                assert 'the bridge does not answer' in wait_for_answer(driver, key)['words']
+            else:
+                wait(2.5)
+            waits = not driver.calls[key].get('outcome')
+        answer = wait_for_answer(driver, key)
+        assert answer['outcome'] == 'refused' and 'nothing was sent' in answer['words']
+        return waits or by == 'bridge'      # the panel waits 3 s for the master
+    again_if_stalled(delayed)
+
+    def moved():        # unless a stall dropped the request or the reply
+        return driver.call('~lift', direction=0, distance=17)['outcome'] == 'done'
+    again_if_stalled(moved)
     assert {request.data for request in robot.lift_requests} == {bytes((0, 17))}
 
 
