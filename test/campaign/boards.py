@@ -3,7 +3,7 @@ import math
 import struct
 import time
 from collections import Counter, deque
-from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optional, Set, Tuple
 
 import by_definition as codec
 from .lines import Clock, SerialLine
@@ -196,6 +196,7 @@ class Car(Board):
         self.on_beat: Callable[[float], None] = lambda now: None
         self.beat_at = 0.0                       # when the latest one was written
         self._last_beat = float('inf')           # likewise; inf: a gap is no fault
+        self._not_arrived: Set[float] = set()    # when others were written since then
         self._talked_at = self._woke_at = 0.0    # when it talked; also after a silence
         self._clock, self._number = clock, 0
         self._live()
@@ -223,18 +224,22 @@ class Car(Board):
     def received(self, frame: codec.Frame, now: float) -> None:
         packet = self.last = Packet(now, frame.type, frame.data, self.beats)
         self.first = self.first or packet
+        self._not_arrived.update(self.line.not_arrived)
         if frame.type != codec.HEARTBEAT:
             self.on_packet(packet)
             return
         self.beats += 1
         self.all_beats += 1
         # When a silence begins and when it ends, the bridge drops what waits in a pseudo terminal:
-        # heartbeats that it has written in time.
+        # heartbeats that it has written in time. A stall of the bridge is a silence, too.
+        if self._last_beat == float('inf'):
+            self._woke_at = now
         dropped = self._last_beat < self._woke_at + _DROPS or now > self._talked_at + _SILENT
         if self.line.moved_late and self.gaps and self.gaps[-1][1] == self._last_beat:
             before, after = self.gaps.pop()
             self._measure_gaps(before, self.line.moved_late, after)
-        self._measure_gaps(self._last_beat, self.line.not_arrived if dropped else (), now)
+        self._measure_gaps(self._last_beat, sorted(self._not_arrived) if dropped else (), now)
+        self._not_arrived.clear()
         self._last_beat = self.beat_at = now
         self.on_beat(now)
 

@@ -130,22 +130,26 @@ def test_a_gap_between_heartbeats_is_recorded(line):
     assert len(car.gaps) == 1 and car.all_beats == 5
 
 
+@pytest.mark.parametrize('next_one', ['heartbeat', 'SPEED 0'])
 @pytest.mark.parametrize('silent, not_arrived, gaps', [
     (2.0, (1.02, 1.04), 0), (1.2, (1.02, 1.04), 0), (2.0, (1.02,), 1), (0.1, (1.02, 1.04), 1)])
 def test_heartbeats_that_the_bridge_drops_when_a_silence_ends_were_in_time(
-        line, monkeypatch, silent, not_arrived, gaps):
+        line, monkeypatch, silent, not_arrived, gaps, next_one):
     car, heartbeat, now = Car(line, Clock()), codec.arduino_packet(codec.HEARTBEAT), [-9.0]
+    car._last_beat = 0.99
+    speed_0 = codec.arduino_packet(codec.SPEED, bytes(2))
     monkeypatch.setattr(boards.time, 'monotonic', lambda: now[0])
     for now[0] in 1.0 - silent, 1.0:
         car.write(b'')
-    times = [(1.0, ()), (1.06, not_arrived)]
+    times = [(1.0, ()), (1.06, not_arrived)] if next_one == 'heartbeat' else \
+        [(1.0, ()), (1.05, not_arrived), (1.06, ())]
 
     def written(frames, now):
         at, line.not_arrived = times.pop(0)
         return [at]
     line.written = written
-    for _ in range(2):
-        car.read(heartbeat, 1.06)
+    for packet in (heartbeat, *[speed_0] * (len(times) - 2), heartbeat):
+        car.read(packet, 1.06)
     assert len(car.gaps) == gaps
 
 
@@ -164,6 +168,7 @@ def test_heartbeats_that_the_kernel_moves_one_by_one_were_in_time(
         line, talking_car, writes, gaps):
     """It has moved the first one when all of them are written."""
     car, heartbeat = talking_car, codec.arduino_packet(codec.HEARTBEAT)
+    car._last_beat = 0.99
     noted = [[1.0], list(writes)]
     line._writes.next = lambda seconds=0.0: noted.pop(0) if noted else []
     for now in (1.0, *(1.04 for _ in writes)):
@@ -173,12 +178,16 @@ def test_heartbeats_that_the_kernel_moves_one_by_one_were_in_time(
     assert car.gaps == gaps and car.all_beats == 2 + len(writes)
 
 
-def test_heartbeats_that_never_arrive_are_a_gap(line, talking_car):
+@pytest.mark.parametrize('has_stalled, gaps', [(False, [(1.0, 1.031)]), (True, [])])
+def test_heartbeats_that_never_arrive_are_a_gap_but_not_just_after_a_stall(
+        line, talking_car, has_stalled, gaps):
     car, heartbeat = talking_car, codec.arduino_packet(codec.HEARTBEAT)
+    if not has_stalled:
+        car._last_beat = 0.99
     for at, *before in (1.0,), (1.031, 1.01, 1.02), (1.041,):
         line._writes.next = lambda seconds=0.0: [*before, at]
         car.read(heartbeat, at)
-    assert car.gaps == [(1.0, 1.031)]
+    assert car.gaps == gaps
 
 
 def bus_board(line):
