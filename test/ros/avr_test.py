@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from avr_boards import OnBoard, until_announced, upward
 from board_ends import angle_between, from_euler
 from boards import (NOT_SENT, Output, PACKAGE, PATIENCE, TIMEOUT, Topic, Waiter, again_if_stalled,
-                    command_topic, own_folder, service, until, wait_for_launch)
+                    command_topic, own_folder, service, until, until_in_step, wait_for_launch)
 from launch_test import SIMULATED_TOPICS
 from serial_communication.msg import McuStatus2, SpeedPWMCommand
 from serial_communication.boards.bus import wire as bus
@@ -98,14 +98,9 @@ class ControlBoard(OnBoard):
         super().setUp()
         for end, position in ('bottom', -1e4), ('top', 1e4):    # no repeated move comes there
             self.board.set('lift_' + end, position)
-        self.echo = service(self.own('bus/echo'), Trigger)
-        self.until_ready()
+        until_in_step(PACKAGE)
         self.lift = service(self.own('lift'), Lift)
         self.gimbal = service(self.own('gimbal'), Gimbal)
-
-    def until_ready(self):
-        """Wait until the bus answers ECHO: then calls are not refused because of a stall before."""
-        until(lambda: self.echo().success, 'the bus answers ECHO')
 
     def state(self):
         """The position, steps and motions of every axis."""
@@ -125,7 +120,7 @@ class ControlBoard(OnBoard):
         It is called again if the bridge stalled and so did not send it, or dropped the reply.
         """
         def answered():
-            self.until_ready()
+            until_in_step(PACKAGE)
             before, answer = self.settled(), call()
             return (before, answer) if answer.status not in (NOT_SENT, TIMEOUT) else None
         before, answer = again_if_stalled(answered)
@@ -169,7 +164,7 @@ class ControlBoard(OnBoard):
         stop = service(self.own('stop'), Trigger)
 
         def is_stopped():
-            self.until_ready()
+            until_in_step(PACKAGE)
             before = self.settled()['lift'][0]
             lift = Waiter(self.lift, 1, 100)
             until(lambda: self.board.get('lift_position') < before - 5 or not lift.is_alive(),
@@ -282,10 +277,8 @@ class Launched(unittest.TestCase):
 
     def assert_moves(self, position, units, call, *arguments):
         """A call succeeds and moves an axis; it is repeated as in `ControlBoard.assert_moves`."""
-        echo = service(self.NODE + '/bus/echo', Trigger)
-
         def moved():
-            until(lambda: echo().success, 'the bus answers ECHO')
+            until_in_step(self.NODE[1:])
             before, answer = self.get('bus', position), call(*arguments)
             if answer.status in (NOT_SENT, TIMEOUT):
                 return False

@@ -328,13 +328,18 @@ def command_topic(name, message_class):
     return topic
 
 
+def until_in_step(node):
+    """Wait until the bus of `node` answers ECHO: no stall before that keeps a call back."""
+    echo = service('/%s/bus/echo' % node, Trigger)
+    until(lambda: echo().success, 'the bus answers ECHO')
+
+
 def settle(node, board):
     """Wait until the bus of `node` is in step and idle; clear the records of `board`."""
     board.script.clear()
     board.rule = lambda request: None
-    echo = service('/%s/bus/echo' % node, Trigger)
     until(lambda: board.connected, 'the board has its port')
-    until(lambda: echo().success, 'the bus answers ECHO')
+    until_in_step(node)
     board.forget()
 
 

@@ -28,7 +28,8 @@ from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 
 from boards import (NOT_SENT, PACKAGE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
-                    SensorBoard, Topic, Waiter, again_if_stalled, level_imu, service, until)
+                    SensorBoard, Topic, Waiter, again_if_stalled, level_imu, service, until,
+                    until_in_step)
 from serial_communication.link.outcome import Verdict
 from serial_communication.msg import SerialMsg
 from serial_communication.framing import announcement, cobs
@@ -356,7 +357,6 @@ class Functions(unittest.TestCase):
         until(lambda: BOARD.connected and bus.SYNC_REQUEST in [f.message for f in BOARD.all],
               'the bus is synchronised')
         BOARD.answers.clear()
-        self.echo = service(OWN + 'bus/echo', Trigger)
 
     def once(self, name, service_class, *arguments):
         """The answer to a call, or the text of its error."""
@@ -369,7 +369,7 @@ class Functions(unittest.TestCase):
         """The answer to a call, which is made again if a stall of this machine kept it back, or
         dropped the reply."""
         def answered():
-            until(lambda: self.echo().success, 'the bus answers ECHO')
+            until_in_step(PACKAGE)
             answer = self.once(name, service_class, *arguments)
             words = getattr(answer, 'message', str(answer))
             return None if re.search('nothing was sent|not known whether', words) else answer
@@ -383,10 +383,10 @@ class Functions(unittest.TestCase):
         BOARD.answers[cmd2] = None
 
         def answered():
-            until(lambda: self.echo().success, 'the bus answers ECHO')
+            until_in_step(PACKAGE)
             before = len(self.asked(cmd2))
             answer = self.once(name, service_class, *arguments)
-            until(lambda: self.echo().success, 'the board has got all that was sent')
+            until_in_step(PACKAGE)       # the board has got all that was sent
             asked = len(self.asked(cmd2)) - before
             self.assertLessEqual(asked, number)
             return answer if asked == number else None
@@ -458,7 +458,7 @@ class Functions(unittest.TestCase):
     def assert_error(self, name, verdict, status, message):
         """A service whose type has no outcome fields raises this."""
         def raised():       # with other words if this machine stalls
-            until(lambda: self.echo().success, 'the bus answers ECHO')
+            until_in_step(PACKAGE)
             with self.assertRaises(rospy.ServiceException) as caught:
                 Waiter(service(OWN + name, GetLoggers)).result()
             print(caught.exception)

@@ -13,7 +13,7 @@ from std_srvs.srv import Empty, Trigger
 
 from boards import (ERROR, NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, WARN, BoardsTest, Bridge,
                     BusBoard, CarBoard, Diagnostics, Line, again_if_stalled, own_folder, program,
-                    service, until)
+                    service, until, until_in_step)
 from serial_communication.boards.arduino.wire import Ticks
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Lift, Release
@@ -147,8 +147,7 @@ class LendingTest(BoardsTest):
     def test_a_call_on_a_lent_bus_is_not_sent(self):
         board = self.plug('bus', BusBoard)
         self.start_bridge('bus_bridge', {'bus/port': self.lines['bus'].near})
-        echo = service('/bus_bridge/bus/echo', Trigger)
-        until(lambda: echo().success, 'the bus answers')
+        until_in_step('bus_bridge')
         self.assertTrue(service('/bus_bridge/bus/release', Release)('me', 10.0).success)
         board.forget()
         answer = service('/bus_bridge/lift', Lift)(0, 100)

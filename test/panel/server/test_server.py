@@ -556,11 +556,9 @@ def test_a_call_is_executed_and_answered(driver, robot):
 
 
 def test_a_double_click_moves_once(driver, robot):
-    attempts = count()
-
     def clicked_often():
         settle(PACKAGE, robot.bus)      # a request may still be on its way
-        first, *more, last = (f'{word} {next(attempts)}'
+        first, *more, last = (f'{word} {next(_KEYS)}'
                               for word in ('first', 'second', 'third', 'last'))
         for key in first, *more:
             lift(driver, key)
@@ -657,13 +655,11 @@ def test_a_value_that_a_setting_may_not_have_is_refused(arguments):
 
 def test_what_a_message_cannot_carry_is_refused_and_so_is_a_second_one_at_once(driver):
     """Whether the others reach the board: test_browser.py."""
-    attempts = count()
-
     def gripper(key, y):
         driver.send(send={'key': key, 'name': '~gripper', 'values': {'x': -2.5, 'y': y, 'z': 3}})
 
     def sent_twice():
-        once, twice = (f'{word} {next(attempts)}' for word in ('once', 'twice'))
+        once, twice = (f'{word} {next(_KEYS)}' for word in ('once', 'twice'))
         gripper(once, 50)
         gripper(twice, 50)
         driver.until(lambda page: twice in page.refusals or twice in page.calls, 'the second')
