@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from fake_boards import Board, CarBoard, until
+from fake_boards import PATIENCE, Board, CarBoard, until
 from serial_communication.boards.arduino import settings as arduino_settings
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
@@ -158,5 +158,5 @@ def test_a_setting_does_not_leave_before_speed_0_and_not_after_the_end(car, car_
     until(lambda: car.messages()[-1] == arduino.SpeedCommand(0))
     last = len(car.messages())
     car_link.board_settings.want('kp', 3.0)
-    car_link.join()
+    car_link.join(PATIENCE)
     assert len(car.messages()) == last and (1, 3.0) not in settings_of(car)

@@ -14,13 +14,14 @@ _SILENT = 1.0            # arduino/network_silence: then the bridge drops the ou
 _DROPS = 0.5             # s in which it notices that the car talks again
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
 # Custom messages of the car: a number, bytes and a sign of life that it sends, two commands, a row
-# with all keys, one with the board's time, an array with a missing value, and an odometry.
-COUNTER, BLOB, ALIVE, HEATER, WINCH, FIELD, TIMED, SCAN, PLACE = range(60, 69)
+# with all keys, one with the board's time, an array with a missing value, an odometry, and a text
+# that follows a byte without a field.
+COUNTER, BLOB, ALIVE, HEATER, WINCH, FIELD, TIMED, SCAN, PLACE, NOTE = range(60, 70)
 HEATER_SCALE, HEATER_OFFSET = 0.01, -20
 MISSING = -0x8000         # no value, in FIELD and SCAN
 CLIFF = 0x20             # a custom message of the sensor board
 # Custom functions of the bus board.
-PRESS, PROBE, HALT, PUMP, TICK, QUICK, DEPTH, HEIGHT = *range(0x60, 0x66), 0x70, 0x71
+PRESS, PROBE, HALT, PUMP, TICK, QUICK, SWAP, REST, DEPTH, HEIGHT = *range(0x60, 0x68), 0x70, 0x71
 PRESS_TIMEOUT = 0.45     # s, of PRESS: neither of the two of rig.py
 QUICK_TIMEOUT = 0.05     # s, less than both
 MEMORY = 0xF0            # a function of the bus board that only raw requests use
@@ -51,14 +52,20 @@ CUSTOM: Dict[str, Dict[str, Any]] = {    # parameters of the bridge that define 
         'place': {'type': PLACE, 'ros_type': 'nav_msgs/Odometry', 'layout': '<3h',
                   'fields': [*(f'pose.pose.position.{axis}' for axis in 'xy'),
                              'pose.pose.orientation.yaw'], 'scale': [0.001, 0.001, 0.0001],
-                  'frame_id': 'odom', 'child_frame_id': 'place'}},
+                  'frame_id': 'odom', 'child_frame_id': 'place'},
+        'note': {'type': NOTE, 'ros_type': 'std_msgs/String', 'layout': '<Bs',
+                 'fields': ['', 'data']}},
     'mcu/messages': {'cliff': {'type': CLIFF, **_NUMBER, 'maximum': 2 ** 31 - 1}},
     'bus/functions': {
         'press': {'cmd2': PRESS, 'srv_type': 'serial_communication/Lift', 'timeout': PRESS_TIMEOUT,
                   'request': {'layout': '<2B', 'fields': ['direction', 'distance']}},
         'probe': {'cmd2': PROBE, **_TRIGGER},
         'quick': {'cmd2': QUICK, 'srv_type': 'std_srvs/Trigger', 'timeout': QUICK_TIMEOUT},
-        'halt': {'cmd2': HALT, 'interrupts': True, **_TRIGGER}}}
+        'halt': {'cmd2': HALT, 'interrupts': True, **_TRIGGER},
+        'swap': {'cmd2': SWAP, 'srv_type': 'serial_communication/BusRequest', 'repeatable': True,
+                 'request': {'layout': '>BH', 'fields': ['cmd1', 'cmd2'], 'maximum': 100},
+                 'reply': {'layout': '<B*', 'fields': ['data'], 'scale': 2}},
+        'rest': {'cmd2': REST, 'srv_type': 'std_srvs/Empty'}}}
 POLLED = {name: {'cmd2': cmd2, 'ros_type': 'std_msgs/UInt32', 'period': PERIODS[cmd2],
                  'reply': {'layout': '<I', 'fields': ['data']}}
           for name, cmd2 in (('depth', DEPTH), ('height', HEIGHT))}
@@ -271,6 +278,8 @@ class Car(Board):
     def keys(frame: codec.Frame) -> List[Key]:
         if frame.type == BLOB:
             return [('~blob', frame.data)]
+        if frame.type == NOTE:
+            return [('~note', frame.data[1:].split(b'\0')[0].decode())]
         if frame.type == SCAN:
             values = struct.unpack(f'>{len(frame.data) // 2}h', frame.data)
             return [('~scan', tuple(None if each == MISSING else each for each in values))]
@@ -407,6 +416,7 @@ class BusBoard(Board):
         in_step: False after a reset, until a SYNC.
         lost_echoes: ECHOs since the latest one that returned.
         lost_questions: so many questions for its announcement are not answered.
+        reply_has_cmd2: its replies have the CMD2 of their requests.
         check_fence: called for each request that needs one.
     """
 
@@ -422,6 +432,7 @@ class BusBoard(Board):
         self.in_step, self.lost_echoes = True, 0
         self.announces = b''
         self.lost_questions = 0
+        self.reply_has_cmd2 = False
         self.readings = 0
         self.check_fence: Callable[[Fence], Any] = lambda fence: None
         self.on_request: Callable[[Request], None] = self.requests.append
@@ -463,13 +474,18 @@ class BusBoard(Board):
         if reaction.executes:
             self.executed[request.key] += 1
         for seconds, reply in reaction.replies:
-            self._write_in_order(seconds, reply or self.ok_reply(request))
+            reply = reply or self.ok_reply(request)
+            if self.reply_has_cmd2:
+                frame = codec.decode(reply, self.sent_frame_at)[0][0]
+                reply = codec.bus_frame(bytes((frame.type, request.cmd2)), frame.data)
+            self._write_in_order(seconds, reply)
 
     def _look_for_fence(self, request: Request) -> None:
         before, self._before = self._before, request
         if request.cmd1 == codec.ECHO:
             # That of a caller may come again, and is no fence.
-            self._is_new = len(request.data) == 4 and request.data not in self._nonces
+            self._is_new = len(request.data) == 4 and not request.cmd2 \
+                and request.data not in self._nonces
             self._nonces.append(request.data)
             self.lost_echoes += 1
         elif request.cmd1 != codec.SYNC and request.cmd2 != HALT:      # a stop needs no fence
@@ -479,7 +495,8 @@ class BusBoard(Board):
                 request.t,
                 is_same_poll or is_echoed and self._is_new or self._is_silent(before, request.t),
                 f'{request} came behind {before}'
-                + ', whose nonce is not new, or has not 4 bytes' * (not self._is_new)))
+                + ', whose CMD2 is not 0, or whose nonce is not new, or has not 4 bytes'
+                * (not self._is_new)))
 
     def _is_silent(self, before: Optional[Request], now: float) -> bool:
         """Whether a silence is the fence: after three lost ECHOs and a SYNC, or of a board that
@@ -491,7 +508,7 @@ class BusBoard(Board):
     def write(self, data: bytes) -> bool:
         self.written_at = time.monotonic()
         if data[2:3] == bytes((codec.ECHO,)):
-            self._echoed.append(data[3:-1])
+            self._echoed.append(data[3 + self.reply_has_cmd2:-1])
             self.lost_echoes, self._has_echoed = 0, True
         return super().write(data)
 
@@ -546,7 +563,8 @@ class BusBoard(Board):
         if request.cmd1 != codec.FUNCTION:
             return reply_frame(request.cmd1, request.data)
         if request.cmd2 not in POLLS:
-            return reply_frame(codec.OK, request.data if request.cmd2 == MEMORY else b'')
+            return reply_frame(codec.OK, request.data if request.cmd2 == MEMORY
+                               else request.data[::-1] if request.cmd2 == SWAP else b'')
         self.readings = n = self.readings + 1
         data = struct.pack('<I', 2 * n + (request.cmd2 == HEIGHT))      # the depth is always even
         if request.cmd2 == codec.ENVIRONMENT:

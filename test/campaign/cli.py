@@ -11,7 +11,8 @@ from typing import Any, Dict, Iterator, NamedTuple, Sequence, Tuple
 
 from processes import StageError
 from serial_communication.output import prepare_output
-from . import exact_bus, exact_car, exact_data, exact_faults, exact_node, exact_settings
+from . import (exact_bus, exact_car, exact_data, exact_faults, exact_node, exact_parameters,
+               exact_settings)
 from .lines import NetworkLine
 from .requirements import Table
 from .rig import NAMES, Rig, Scenario
@@ -42,15 +43,17 @@ SHARES = (
            # The bridge says that it does not know the first one.
            {'arduino/speed_time_out': 1.0, 'settings/arduino/trim': 300},
            events=_LOG_LINES.read_text().splitlines()),),
-    (Group((*exact_car.LONG, *exact_data.LONG, *exact_faults.LONG)),
+    (Group((*exact_car.LONG, *exact_data.LONG, *exact_faults.LONG),
+           events=['arduino: IMU data was still received']),
      Group((exact_node.killed, exact_node.simulated_time)),
-     Group((*exact_settings.SERIAL, exact_car.endless_calibration), exact_settings.PARAMETERS),
+     Group((*exact_settings.SERIAL, exact_car.endless_calibration), exact_settings.PARAMETERS,
+           events=['arduino: the calibration did not end within']),
      Group((exact_bus.polls,), exact_node.POLLING),
      Group((exact_bus.announced,), {'bus/announcements': True}),
      Group((exact_bus.one_poll,), exact_bus.ONE_POLL),
      Group((exact_faults.no_limits,), exact_faults.NO_LIMITS),
      Group((exact_faults.queued,), {'bus/motion_timeout': exact_faults.LONG_TIMEOUT}),
-     Group((exact_node.ends,)),
+     Group((exact_parameters.others, exact_node.ends)),
      Group((*exact_faults.NETWORK, exact_node.ends), network=True)))
 GROUPS = [group for share in SHARES for group in share]
 

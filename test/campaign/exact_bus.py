@@ -12,7 +12,7 @@ import rospy
 
 import by_definition as codec
 from .boards import (ANNOUNCE, HALT, MEMORY, OK, PERIODS, PRESS, PRESS_TIMEOUT, PROBE, PUMP,
-                     PUMP_ROWS, QUICK_TIMEOUT, TICK, Reaction, Request, reply_frame)
+                     PUMP_ROWS, QUICK, QUICK_TIMEOUT, SWAP, TICK, Reaction, Request, reply_frame)
 from .rig import (FENCED, MOTION_TIMEOUT, NOISE, POLLED_TOPICS, REPLY_TIMEOUT, UNTIL_PUBLISHED,
                   Rig)
 from .robot import NODE, NOT_SENT, TIMEOUT, Outcome
@@ -210,6 +210,7 @@ def no_replies(rig: Rig) -> None:
         outcome = rig.robot.call('quick')
         rig.in_time(own, outcome.began, outcome.ended, QUICK_TIMEOUT + _ROS_TIME, 'quick',
                     QUICK_TIMEOUT)
+        own.check(rig.bus.count(QUICK) == 1, 'quick was sent again')
         rig.bus.usual()
 
 
@@ -284,12 +285,32 @@ def readings(rig: Rig) -> None:
             f'{size} bytes: {outcome.status}, {len(outcome.data)} bytes')
 
 
+def functions(rig: Rig) -> None:
+    """Custom functions: one with values, which may be sent again, and one without an outcome."""
+    matches = rig.row('the outcome of a call matches what the board replied')
+    for lost in rig.tries(0, 2, 3):
+        rig.bus.react = lambda request: _LOST if rig.bus.count(SWAP) <= lost else None
+        outcome, received = rig.robot.call('swap', 1, 2, b''), rig.bus.count(SWAP)
+        data = b'\4\0\2' if lost < 3 else b''
+        matches.check((outcome.success, outcome.data) == (lost < 3, data) and received
+                      == min(lost + 1, 3), f'swap, {lost} lost, {received} received: {outcome}')
+    for service, arguments in ('swap', (101, 2, b'')), ('bus/request', (0x55, MEMORY, bytes(1025))):
+        rig.settle()
+        outcome = rig.robot.call(service, *arguments)
+        matches.check(outcome.status == NOT_SENT and not rig.bus.executed, f'{service}: {outcome}')
+    matches.check(rig.robot.call('rest').success, 'rest failed')
+    rig.bus.react = lambda request: _FAILED
+    outcome = rig.robot.call('rest')
+    matches.check(not outcome.success and f'status {codec.ERROR} ' in outcome.message,
+                  f'a failed rest: {outcome}')
+
+
 def _call_session(rig: Rig) -> None:
     """The services that send ECHO and SYNC; the one of ECHO tells how many ms the reply took."""
     required = rig.row('bus/sync sends SYNC; bus/echo tells how long ECHO took')
     outcome = rig.robot.call('bus/sync')
-    required.check(outcome.success and codec.SYNC in [each.cmd1 for each in rig.bus.requests],
-                   f'SYNC: {outcome}')
+    sent = [each.cmd2 for each in rig.bus.requests if each.cmd1 == codec.SYNC]
+    required.check(outcome.success and set(sent) == {0}, f'SYNC: {outcome}, sent with CMD2 {sent}')
     rig.bus.probe = lambda request: Reaction([(0.05, OK)])
     outcome = rig.robot.call('bus/echo')
     took = float(outcome.message.split()[0]) / 1e3
@@ -607,5 +628,5 @@ def one_poll(rig: Rig) -> None:
 
 
 ONE_POLL = {'bus/environment_period': 1.0, 'bus/environment_datelen': 0}
-SERIAL = (outcomes, no_replies, readings, queue, never_echoes, unanswered_sync, interrupted,
-          dribble, suspended_caller)
+SERIAL = (outcomes, no_replies, readings, functions, queue, never_echoes, unanswered_sync,
+          interrupted, dribble, suspended_caller)

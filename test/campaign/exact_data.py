@@ -11,7 +11,7 @@ from typing import IO, Dict, List, NamedTuple, Tuple
 import by_definition as codec
 from serial_communication.msg import SerialMsg
 from witness import LATE
-from .boards import ALIVE, BLOB, CLIFF, COUNTER, TIMED
+from .boards import ALIVE, BLOB, CLIFF, COUNTER, NOTE, TIMED
 from .exact_car import Drive
 from .rig import MOUNT, NOISE, PREFIX, PUBLISHED, UNTIL_PUBLISHED, Rig
 
@@ -86,6 +86,8 @@ def measurements(rig: Rig) -> None:
         if number < 10:     # with the type 247 … 256 bytes
             size = 246 + number
             rig.car.send(codec.arduino_packet(BLOB, bytes(1 + n % 255 for n in range(size))))
+        text = b'%d \xc2\xb0C' % number + b'\0old' * (number % 2)
+        rig.car.send(codec.arduino_packet(NOTE, b'\1' + text))
         rig.wait_beats(0.05)
     for limit in (codec.arduino_packet(codec.STEERING_ANGLE, b'\x00\x04'),
                   codec.arduino_packet(codec.VOLTAGE, struct.pack('<f', 100.0))):
@@ -486,6 +488,33 @@ def _try_stamps(rig: Rig, timing: Timing) -> None:
 
 # The measurements are short, four times, and so are the stamps: on a busy machine a long scenario
 # is stalled too often.
+def hints(rig: Rig) -> None:
+    """Boards at the wrong ports, messages without a row, a sensor without values, and a car that
+    logs too much."""
+    logged = rig.row('what happened is in the log')
+
+    def status(range_1: int) -> bytes:
+        return rig.sensors.frame(codec.SENSORS, struct.pack('<HHHhh', range_1, 99, 1, 1, 1))
+
+    def swap() -> None:
+        rig.mcu_line.write(codec.arduino_packet(codec.TICKS, b'\1'))
+        rig.car_line.write(status(99))
+    rig.car.talks = False
+    with rig.clock.each(0.02, swap):
+        rig.diagnosed('mcu', 1, "they are the arduino's: are the two ports swapped?")
+        rig.diagnosed('arduino', 1, "they are the mcu's: are the two ports swapped?")
+    rig.car.measure()       # the bytes before it count no more
+    with rig.clock.each(0.02, lambda: rig.car_line.write(_UNKNOWN)):
+        rig.diagnosed('arduino', 1, 'of unknown types (200)')
+    rig.car.talks = True
+    with rig.clock.each(0.05, lambda: rig.sensors.write(status(0xFFFF))):
+        logged.wait(lambda: rig.logs.find('mcu: no value of range 1'), 'a sensor times out', 10.0)
+    with rig.clock.each(0.05, lambda: rig.sensors.write(status(99))):
+        logged.wait(lambda: rig.logs.find('mcu: all sensors have values'), 'it is back', 10.0)
+    rig.car.write(300 * codec.arduino_packet(1, b'loud\0'))
+    logged.wait(lambda: rig.logs.find('arduino: the board logs too much'), 'too many lines', 10.0)
+
+
 SERIAL = (at_rest, *4 * (measurements,), alone, damaged, lost_frames, false_starts, traffic,
-          settings, silent, silent)
+          settings, silent, silent, hints)
 LONG = stamps, stamps_of_batches, stamps_after_a_stall, stamps_of_sensors

@@ -18,7 +18,7 @@ from .robot import COMMANDS, NOT_SENT
 
 SYNC_FIRST = 'after a reconnect the first request is SYNC'
 PORT_RETURNS = "data within 1.5 s of the port's return"
-_PORT_RETURN = 1.5       # s
+PORT_RETURN = 1.5        # s
 _NO_OLD_DATA = 'no data from the time of a stall is published over a network'
 _NETWORK_RETURN = 3.0    # s
 _UNSEEN = 1.5            # s: no command that has waited longer unseen reaches the board
@@ -73,7 +73,7 @@ def openings(rig: Rig) -> None:
         calls.check(made[0], 'unplugged', 'not known')
         first = rig.bus.requests[count]
         for link, at in ('mcu', returned), ('arduino', rig.car.first.t), ('bus', first.t):
-            rig.in_time(returns, began, at, _PORT_RETURN, link)
+            rig.in_time(returns, began, at, PORT_RETURN, link)
         sync.check(first.cmd1 == codec.SYNC, f'the first request was {first}')
         calls.call('lift', 'after a reconnect', 'done')
         for call in made:
@@ -134,13 +134,13 @@ def lent(rig: Rig) -> None:
             ends_at = free_at = release(0.0)
         else:               # the program that borrowed the car's port ends late
             holder = rig.child('holder', ['sh', '-c', f'exec sleep 60 < {rig.car_line.port}'])
-            rig.sleep(ends_at + _PORT_RETURN - time.monotonic())
+            rig.sleep(ends_at + PORT_RETURN - time.monotonic())
             required.check(not rig.car.first, 'opened while another program has it open')
             rig.end(holder)
             free_at = time.monotonic()
         required.wait(lambda: rig.car.beats and len(rig.bus.requests) > count, 'they are opened')
         for began, first in (free_at, check_first(rig)), (ends_at, rig.bus.requests[count]):
-            rig.in_time(required, began, first.t, _PORT_RETURN, f'{seconds:g} s', -0.5)
+            rig.in_time(required, began, first.t, PORT_RETURN, f'{seconds:g} s', -0.5)
         rig.row(SYNC_FIRST).check(rig.bus.requests[count].cmd1 == codec.SYNC, 'not SYNC')
         rig.wait_for_data('mcu/cliff', rig.sensors.cliff, rig.row(PORT_RETURNS))
         for topic in '~counter', 'mcu/adc_status':
@@ -160,7 +160,7 @@ def closed(rig: Rig) -> None:
             rig.car.forget_beat()
             close()
             returns.wait(lambda: board.connection > connection and board.line.plugged, link)
-            rig.in_time(returns, began, time.monotonic(), _PORT_RETURN, f'{link} {close.__name__}')
+            rig.in_time(returns, began, time.monotonic(), PORT_RETURN, f'{link} {close.__name__}')
     rig.wait(lambda: rig.car.beats, 'heartbeats')
     Drive(rig).command_until_accepted()
 
@@ -172,7 +172,7 @@ def silent_network(rig: Rig) -> None:
     began, connection = time.monotonic(), rig.sensors.connection + 1
     rig.mcu_line.lose_connection()
     required.wait(lambda: rig.mcu_line.plugged, 'it is opened again')
-    rig.in_time(required, began, time.monotonic(), _SILENCE + _PORT_RETURN, 'mcu', _SILENCE - 0.1)
+    rig.in_time(required, began, time.monotonic(), _SILENCE + PORT_RETURN, 'mcu', _SILENCE - 0.1)
     required.check(rig.sensors.connection == connection, 'opened more than once')
     rig.wait_for_data('mcu/cliff', rig.sensors.cliff, required)
 

@@ -22,10 +22,12 @@ from processes import StageError
 from .boards import CUSTOM, PERIODS, POLLED, Reaction
 from .exact_car import STAMPED, TYPES, Drive, check_first, check_timeout
 from .exact_data import REPORTED, at_rest, measurements, opened, unknown_types
+from .exact_faults import PORT_RETURN, PORT_RETURNS
 from .rig import AFTER, LATCHED, Rig
 from .robot import NODE
 
 _END = 2.0               # s
+_ABSENT = 9.0            # s until a port appears
 _MASTER_RETURN = 10.0    # s
 _ENDS = 'it ends within 2 s, whatever hangs; last packet SPEED 0'
 _TRIES = 20
@@ -37,9 +39,9 @@ _TEXT = (b'firmware: campaign %d\n' + _HOIST + b'\ngauge: {type: %d, ros_type: s
          b'layout: <B, fields: [data]}\n'
          b'winch: {type: 200, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}\n'
          b'second: {type: 60, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}')
-_NO_MASTER = 'no answer from the ROS master'      # in the log
+_NO_MASTER, _ANNOUNCES = 'no answer from the ROS master', 'arduino: announces'      # in the log
 _LEVEL = 90
-_LEVELS = b'\n'.join(       # as many rows as one text may have
+LEVELS = b'\n'.join(       # as many rows as one text may have
     b'level_%d: {type: %d, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}' % (n, _LEVEL + n)
     for n in range(16))
 _NONSENSE = b'', b'\0\1\0\0{[', *(bytes((number,)) * 40 for number in range(256))
@@ -146,7 +148,7 @@ def killed(rig: Rig) -> None:
     rig.end(rig.child_bridge, signal.SIGKILL)
     rig.car_line.drain()
     rig.mcu_line.unplug()
-    since = len(rig.car.packets)
+    since, absent_since = len(rig.car.packets), time.monotonic()
     rig.robot.clear_records()
     rig.start(POLLING)
     check_first(rig)
@@ -157,8 +159,11 @@ def killed(rig: Rig) -> None:
         latched.check(not rig.car.packet(type_, 301, since), f'the latched {name} 301 arrived')
     drive.check_not_sent([number], 'from before SIGKILL', since)
     rig.end(child)
+    rig.sleep(absent_since + _ABSENT - time.monotonic())
+    began = time.monotonic()
     rig.mcu_line.plug()
     rig.wait_for_data('mcu/cliff', rig.sensors.cliff, absent)
+    rig.in_time(rig.row(PORT_RETURNS), began, time.monotonic(), PORT_RETURN, 'absent at first')
     with rig.clock.each(0.05, rig.sensors.cliff):
         rig.sleep(0.2)
         rig.robot.clear_records()
@@ -275,6 +280,7 @@ def announcements(rig: Rig) -> None:
             for _ in range(2):
                 again.check(not is_published(8), 'gauge: a value was published')
         again.check(type_ not in [each.type for each in rig.car.packets], 'hoist arrived')
+        used = len(rig.logs.find(_ANNOUNCES))
         _announce(rig, *codec.announcement(text, 50))
 
         def is_used() -> bool:
@@ -288,6 +294,7 @@ def announcements(rig: Rig) -> None:
         rig.wait_beats(AFTER)
         rig.row(STAMPED).check(type_ not in [each.type for each in rig.car.packets[count:]],
                                'an old hoist arrived')
+        required.check(len(rig.logs.find(_ANNOUNCES)) == used, 'the same text was used again')
         again.wait(lambda: is_published(9), 'gauge: the value after that')
         subscriber.unregister()
         command.unregister()
@@ -308,7 +315,7 @@ def announcement_of_sensors(rig: Rig) -> None:
     subscriber = rospy.Subscriber('/mcu/level_0', UInt8, lambda m: values.append(m.data))
 
     def announce() -> None:
-        for chunk in codec.announcement(_LEVELS, 50):
+        for chunk in codec.announcement(LEVELS, 50):
             rig.sensors.write(rig.sensors.frame(codec.ANNOUNCEMENT, chunk))
 
     def is_published(value: int) -> bool:

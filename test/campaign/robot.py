@@ -32,7 +32,7 @@ _ACCELERATION = 8 / 65536 * 9.81
 SERVICES = {'lift': Lift, 'gimbal': Gimbal, 'bus/request': BusRequest, 'press': Lift,
             'probe': Trigger, 'quick': Trigger, 'get_environment': GetEnvironment,
             'bus/echo': Trigger, 'bus/sync': Trigger, 'calibrate_imu': Empty, 'halt': Trigger,
-            'pump': Trigger,
+            'pump': Trigger, 'swap': BusRequest, 'rest': Empty,
             **{f'{link}/{name}': kind for link in ('bus', 'arduino', 'mcu')
                for name, kind in (('release', Release), ('reset', Trigger))}}
 
@@ -148,7 +148,8 @@ TOPICS: Dict[str, Tuple[Any, ToKey]] = {
     '~environment/temperature': (Temperature, lambda m: _hundredths(m.temperature)),
     '~environment/humidity': (RelativeHumidity, lambda m: _hundredths(m.relative_humidity * 100)),
     '~imu/calibrating': (Bool, lambda m: None),      # no measurement
-    '~blob': (UInt8MultiArray, lambda m: bytes(m.data)), 'mcu/adc_status': (McuStatus, _adc),
+    '~blob': (UInt8MultiArray, lambda m: bytes(m.data)), '~note': (String, _DATA),
+    'mcu/adc_status': (McuStatus, _adc),
     'mcu/imu': (Imu, lambda m: _attitude(m.orientation)),
     'tf/imu_orientation': (None, lambda q: unit_key((q.w, -q.y, q.x, q.z))),
     'tf/mcu_imu_orientation': (None, _attitude),

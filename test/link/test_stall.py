@@ -257,7 +257,7 @@ def test_tick_is_called_and_stop_works_while_a_backlog_without_end_is_dropped(li
     until(lambda: silences)
     assert is_dropping(link)
     link.stop()
-    link.join()
+    link.join(PATIENCE)
     assert not link.port.is_open
     ended.set()
     board.result()

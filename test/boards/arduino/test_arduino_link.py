@@ -871,7 +871,7 @@ def test_a_calibration_ends_after_its_timeout(board, open_link):
 
 def stop_and_wait(link, board):
     link.stop()
-    link.join()
+    link.join(PATIENCE)
     assert not link.port.is_open
     quiet = threading.Event()
     quiet.wait(0.1)
@@ -925,7 +925,7 @@ def test_stopping_does_not_wait_for_a_board_that_does_not_read(line, open_link):
     link = open_link()
     link.set_speed(300)
     link.stop()
-    link.join()
+    link.join(10.0)      # closing would wait for 30 s
     assert not link.port.is_open
 
 

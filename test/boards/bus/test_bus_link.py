@@ -183,7 +183,7 @@ def test_stopping_ends_waiting_calls(board, open_link):
     moving = Waiter(link.lift, 0, 100)
     until(board.moves)
     link.stop()
-    link.join()
+    link.join(PATIENCE)
     assert moving.result().status == TIMEOUT
     assert not link.port.is_open
     assert link.lift(0, 1).status == NOT_SENT

@@ -1,0 +1,150 @@
+"""Parameters, exactly: what those do that have other values than their defaults."""
+import math
+import struct
+import termios
+import time
+from typing import Any, Callable, Dict, Tuple
+
+import by_definition as codec
+from .boards import MEMORY, TIMED, Reaction
+from .exact_data import opened
+from .exact_node import LEVELS
+from .rig import PREFIX, Rig
+
+_EFFECT = 'a parameter with another value than its default has its effect'
+_CLOSE = 0.05       # by which a number may be off; relative
+_FRAME_TIMEOUT = 0.2    # s
+_AGE = 1.0          # s, of a command
+
+
+def _latest(rig: Rig, topic: str, send: Callable[[], None]) -> Any:
+    """The message of this topic that is published for what the board sends now."""
+    rig.robot.clear_records()
+    rig.wait_for_data(topic, send, rig.row(_EFFECT))
+    return rig.robot.published[topic][-1]
+
+
+def _stdev(covariance: str, index: int) -> Callable[[Rig], float]:
+    return lambda rig: math.sqrt(getattr(
+        _latest(rig, '~imu', rig.car.measure).message, covariance)[index])
+
+
+def _of_range(field: str) -> Callable[[Rig], Any]:
+    return lambda rig: getattr(_latest(rig, 'mcu/range_1', rig.sensors.measure).message, field)
+
+
+def _frame_id(topic: str) -> Callable[[Rig], str]:
+    return lambda rig: _latest(rig, topic, rig.measure).message.header.frame_id[len(PREFIX):]
+
+
+def _base_frame_id(rig: Rig) -> str:
+    rig.wait(lambda: PREFIX + 'car_imu' in rig.robot.mounts, 'the mount of the IMU')
+    return rig.robot.mounts[PREFIX + 'car_imu'][0][len(PREFIX):]
+
+
+def _heartbeat_rate(rig: Rig) -> float:
+    since, began = rig.car.all_beats, time.monotonic()
+    rig.wait_beats(2.0)
+    return (rig.car.all_beats - since) / (time.monotonic() - began)
+
+
+def _command_age(rig: Rig) -> float:
+    """At least the age of a command that is taken."""
+    rig.robot.command('steering', 4000, time.time() - _AGE)
+    rig.row(_EFFECT).wait(lambda: rig.car.packet(codec.STEERING, 4000), 'an old command', 5.0)
+    return 2 * _AGE
+
+
+def _is_plausible(rig: Rig) -> bool:
+    """Whether a voltage of 150 V is not published."""
+    packet = codec.arduino_packet(codec.VOLTAGE, struct.pack('<f', 150.0))
+    return not _latest(rig, '~voltage', lambda: rig.car.send(packet))
+
+
+def _retries(rig: Rig) -> int:
+    rig.bus.clear_records()
+    rig.bus.react = lambda request: Reaction()
+    rig.robot.call('get_environment')
+    rig.bus.usual()
+    return rig.bus.count(codec.ENVIRONMENT) - 1
+
+
+def _reply_has_cmd2(rig: Rig) -> bool:
+    """Replies of the board have it."""
+    return rig.robot.call('bus/request', codec.FUNCTION, MEMORY, b'\5\6').data == b'\5\6'
+
+
+def _is_clockwise(rig: Rig) -> bool:
+    """Whether a yaw of 90 degrees is to the right, as _attitude of robot.py has it."""
+    turned = struct.pack('<HHHhh', 100, 100, 9000, 0, 0)
+    return _latest(rig, 'mcu/imu', lambda: rig.sensors.send(
+        rig.sensors.frame(codec.SENSORS, turned))).key[0] == 9000
+
+
+def _baud(rig: Rig) -> int:
+    with opened(rig.mcu_line.port) as port:
+        return {termios.B57600: 57600}.get(termios.tcgetattr(port)[5], 0)
+
+
+def _frame_timeout(rig: Rig) -> float:
+    """For how long a frame waited behind a false start."""
+    rig.robot.clear_records()
+    rig.sensors.line.write(b'\x02\x60')
+    rig.sensors.measure()
+    status = rig.row(_EFFECT).wait(lambda: rig.robot.values('mcu/status'), 'the status')[0]
+    return min(_FRAME_TIMEOUT, round(status.wall - status.stamp, 2))    # ROS takes some, too
+
+
+def _board_time(rig: Rig) -> bool:
+    rig.car.write(codec.arduino_packet(TIMED, struct.pack('<IB', 1000, 1)))
+    rig.next_report('arduino')
+    return 'clock errors' in rig.next_report('arduino')[2]
+
+
+def _announcements(rig: Rig) -> bool:
+    for chunk in codec.announcement(LEVELS, 50):
+        rig.sensors.write(rig.sensors.frame(codec.ANNOUNCEMENT, chunk))
+    rig.next_report('mcu')
+    return 'announced' in rig.next_report('mcu')[2]
+
+
+# For each the value, and what shows it.
+OTHER: Dict[str, Tuple[Any, Callable[[Rig], Any]]] = {
+    'base_frame_id': ('base', _base_frame_id),
+    'frame_timeout': (_FRAME_TIMEOUT, _frame_timeout),
+    'bus/retries': (1, _retries),
+    'bus/reply_has_cmd2': (True, _reply_has_cmd2),
+    'arduino/heartbeat_rate': (80.0, _heartbeat_rate),
+    'arduino/command_age': (2 * _AGE, _command_age),
+    'arduino/check_plausibility': (False, _is_plausible),
+    'arduino/board_time': (False, _board_time),
+    'arduino/imu_frame_id': ('car_imu', _frame_id('~imu')),
+    'arduino/roll_pitch_stdev': (0.02, _stdev('orientation_covariance', 0)),
+    'arduino/yaw_stdev': (0.2, _stdev('orientation_covariance', 8)),
+    'arduino/angular_velocity_stdev': (0.03, _stdev('angular_velocity_covariance', 4)),
+    'arduino/linear_acceleration_stdev': (0.5, _stdev('linear_acceleration_covariance', 4)),
+    'mcu/baud': (57600, _baud),
+    'mcu/announcements': (False, _announcements),
+    'mcu/yaw_clockwise': (False, _is_clockwise),
+    'mcu/min_range': (0.1, _of_range('min_range')),
+    'mcu/max_range': (1.5, _of_range('max_range')),
+    'mcu/field_of_view': (0.3, _of_range('field_of_view')),
+    'mcu/range_2_frame_id': ('right', _frame_id('mcu/range_2'))}
+
+
+def others(rig: Rig) -> None:
+    """A bridge with other parameters, and then one with the defaults again."""
+    required = rig.row(_EFFECT)
+    rig.end_bridge()
+    rig.bus.reply_has_cmd2 = True
+    try:
+        rig.start({name: value for name, (value, _look) in OTHER.items()})
+        for name, (value, look) in OTHER.items():
+            found = look(rig)
+            required.check(found == value or isinstance(value, float) and math.isclose(
+                found, value, rel_tol=_CLOSE), f'{name}: {found}, not {value}')
+    finally:
+        rig.end_bridge()
+        rig.bus.reply_has_cmd2 = False
+        rig.robot.mounts.clear()
+        rig.start()
