@@ -201,8 +201,9 @@ _DROPPED = 'no command from before a reconnect, stall or restart'
 _UNSEEN_BY = 'no command that waited unseen in a pty for over 1.5 s arrives'
 _OVER_NETWORK = 'no SPEED older than 1.5 s reaches a board behind socket://'
 _FROZEN = Cut(1.0, _freeze, _DROPPED, 0.0)
+_FROZEN_LONG = _FROZEN._replace(seconds=2.2)    # after the end of the repetitions of SPEED 0
 _HANGS = Cut(2.5, _hang, _UNSEEN_BY, _UNSEEN)
-SERIAL_CUTS = _FROZEN, _FROZEN, _HANGS, _HANGS
+SERIAL_CUTS = _FROZEN, _FROZEN_LONG, _HANGS, _HANGS
 NETWORK_CUTS = tuple(Cut(seconds, begin, _OVER_NETWORK, _UNSEEN, ['speed']) for seconds, begin in (
     (1.2, lambda rig: rig.car_line.freeze()), (3.0, lambda rig: rig.car_line.lose_connection()),
     (2.0, lambda rig: rig.car_line.freeze()), (5.0, lambda rig: rig.car_line.freeze())))
@@ -224,11 +225,11 @@ def _try_cut(rig: Rig, cut: Cut) -> None:
     while time.monotonic() < began + cut.seconds:
         now = time.monotonic()
         # Dropping bytes frees space for new ones, until `fill`: at last only that is done.
-        if cut is not _FROZEN or now < began + cut.seconds * 0.6:
+        if cut.begin is not _freeze or now < began + cut.seconds * 0.6:
             published[drive.publish(1, cut.names)[0]] = now
         else:
             rig.sleep(0.05)
-        if cut is _FROZEN:
+        if cut.begin is _freeze:
             rig.car_line.fill()
     car.forget_beat()
     rig.car_line.thaw()
@@ -240,7 +241,7 @@ def _try_cut(rig: Rig, cut: Cut) -> None:
         check_first(rig)
     else:
         rig.wait_beats(AFTER)
-    if cut is _FROZEN:
+    if cut.begin is _freeze:
         check_stop_first(rig, 'SPEED 0 is the first packet after dropped output', since, beats)
     drive.command_until_accepted()
     for packet in car.packets[since:]:
