@@ -355,13 +355,17 @@ class Sensors(Board):
         self.seq = (self.seq + 1) % 256
         return codec.mcu_frame(type_, self.seq, payload)
 
+    def status(self, *numbers: int) -> bytes:
+        """The frame of a status: two ranges in mm, then yaw, pitch and roll in 0.01 degrees."""
+        return self.frame(codec.SENSORS, struct.pack(_STATUS, *numbers))
+
     def measure(self) -> None:
         """Send one status; its ranges and angles follow from its number."""
         self._number = n = self._number + 1
         ranges = 0xFFFF if n % 11 == 0 else n % 65535, 0xFFFF if n % 9 == 0 else n * 7 % 2500
         # The heading may be over 360 degrees, but is never 360.
         angles = ((n * 998 + 1) % 47000, n % 9000 - 4500, -(n % 17000)) if n % 7 else _UNKNOWN
-        self.send(self.frame(codec.SENSORS, struct.pack(_STATUS, *ranges, *angles)))
+        self.send(self.status(*ranges, *angles))
         self.send(self.frame(codec.ADC, struct.pack('<6H', *range(n % 60000, n % 60000 + 6))))
 
     def cliff(self) -> None:

@@ -93,8 +93,7 @@ def measurements(rig: Rig) -> None:
                   codec.arduino_packet(codec.VOLTAGE, struct.pack('<f', 100.0))):
         rig.car.send(limit)
     # Its heading alone is no sign of an unknown attitude, and its ranges are the limits.
-    rig.sensors.send(rig.sensors.frame(
-        codec.SENSORS, struct.pack('<HHHhh', 2000, 30, 0x8000, 5, 6)))
+    rig.sensors.send(rig.sensors.status(2000, 30, 0x8000, 5, 6))
     rig.compare(rig.car, rig.sensors)
 
 
@@ -494,7 +493,7 @@ def hints(rig: Rig) -> None:
     logged = rig.row('what happened is in the log')
 
     def status(range_1: int) -> bytes:
-        return rig.sensors.frame(codec.SENSORS, struct.pack('<HHHhh', range_1, 99, 1, 1, 1))
+        return rig.sensors.status(range_1, 99, 1, 1, 1)
 
     def swap() -> None:
         rig.mcu_line.write(codec.arduino_packet(codec.TICKS, b'\1'))

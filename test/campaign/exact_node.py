@@ -41,7 +41,7 @@ _TEXT = (b'firmware: campaign %d\n' + _HOIST + b'\ngauge: {type: %d, ros_type: s
          b'second: {type: 60, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}')
 _NO_MASTER, _ANNOUNCES = 'no answer from the ROS master', 'arduino: announces'      # in the log
 _LEVEL = 90
-LEVELS = b'\n'.join(       # as many rows as one text may have
+_LEVELS = b'\n'.join(       # as many rows as one text may have
     b'level_%d: {type: %d, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}' % (n, _LEVEL + n)
     for n in range(16))
 _NONSENSE = b'', b'\0\1\0\0{[', *(bytes((number,)) * 40 for number in range(256))
@@ -314,22 +314,18 @@ def announcement_of_sensors(rig: Rig) -> None:
     values: List[int] = []
     subscriber = rospy.Subscriber('/mcu/level_0', UInt8, lambda m: values.append(m.data))
 
-    def announce() -> None:
-        for chunk in codec.announcement(LEVELS, 50):
-            rig.sensors.write(rig.sensors.frame(codec.ANNOUNCEMENT, chunk))
-
     def is_published(value: int) -> bool:
         rig.sensors.write(rig.sensors.frame(_LEVEL, bytes((value,))))
         rig.wait_beats(0.05)
         return value in values
-    announce()
+    announce_levels(rig)
     required.wait(lambda: is_published(7), 'its value is published')
     required.wait(lambda: ('0', '/mcu/level_15') in _registered(), 'the last row is in use', 10.0)
     rig.mcu_line.unplug()
     rig.mcu_line.plug()
     rig.wait_for_data('mcu/cliff', rig.sensors.cliff, again)
     again.check(not is_published(8), 'level_0: a value was published')
-    announce()
+    announce_levels(rig)
     again.wait(lambda: is_published(9), 'level_0: the value after that')
     subscriber.unregister()
 
@@ -381,6 +377,12 @@ def simulated_time(rig: Rig) -> None:
 def _announce(rig: Rig, *chunks: bytes) -> None:
     for chunk in chunks:
         rig.car.write(codec.arduino_packet(codec.ANNOUNCEMENT, chunk))
+
+
+def announce_levels(rig: Rig) -> None:
+    """Let the sensor board announce its rows."""
+    for chunk in codec.announcement(_LEVELS, 50):
+        rig.sensors.write(rig.sensors.frame(codec.ANNOUNCEMENT, chunk))
 
 
 def _announced() -> Dict[str, int]:

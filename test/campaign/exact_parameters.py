@@ -8,8 +8,9 @@ from typing import Any, Callable, Dict, Tuple
 import by_definition as codec
 from .boards import MEMORY, TIMED, Reaction
 from .exact_data import opened
-from .exact_node import LEVELS
+from .exact_node import announce_levels
 from .rig import PREFIX, Rig
+from .robot import Published
 
 _EFFECT = 'a parameter with another value than its default has its effect'
 _CLOSE = 0.05       # by which a number may be off; relative
@@ -17,11 +18,17 @@ _FRAME_TIMEOUT = 0.2    # s
 _AGE = 1.0          # s, of a command
 
 
-def _latest(rig: Rig, topic: str, send: Callable[[], None]) -> Any:
+def _latest(rig: Rig, topic: str, send: Callable[[], None]) -> Published:
     """The message of this topic that is published for what the board sends now."""
     rig.robot.clear_records()
     rig.wait_for_data(topic, send, rig.row(_EFFECT))
     return rig.robot.published[topic][-1]
+
+
+def _is_reported(rig: Rig, link: str, key: str) -> bool:
+    """Whether /diagnostics has this key of the link now."""
+    rig.next_report(link)       # it may be from before
+    return key in rig.next_report(link)[2]
 
 
 def _stdev(covariance: str, index: int) -> Callable[[Rig], float]:
@@ -76,14 +83,14 @@ def _reply_has_cmd2(rig: Rig) -> bool:
 
 def _is_clockwise(rig: Rig) -> bool:
     """Whether a yaw of 90 degrees is to the right, as _attitude of robot.py has it."""
-    turned = struct.pack('<HHHhh', 100, 100, 9000, 0, 0)
-    return _latest(rig, 'mcu/imu', lambda: rig.sensors.send(
-        rig.sensors.frame(codec.SENSORS, turned))).key[0] == 9000
+    turned = _latest(rig, 'mcu/imu', lambda: rig.sensors.send(
+        rig.sensors.status(100, 100, 9000, 0, 0)))
+    return turned.key[0] == 9000
 
 
 def _baud(rig: Rig) -> int:
     with opened(rig.mcu_line.port) as port:
-        return {termios.B57600: 57600}.get(termios.tcgetattr(port)[5], 0)
+        return 57600 if termios.tcgetattr(port)[5] == termios.B57600 else 0
 
 
 def _frame_timeout(rig: Rig) -> float:
@@ -97,15 +104,12 @@ def _frame_timeout(rig: Rig) -> float:
 
 def _board_time(rig: Rig) -> bool:
     rig.car.write(codec.arduino_packet(TIMED, struct.pack('<IB', 1000, 1)))
-    rig.next_report('arduino')
-    return 'clock errors' in rig.next_report('arduino')[2]
+    return _is_reported(rig, 'arduino', 'clock errors')
 
 
 def _announcements(rig: Rig) -> bool:
-    for chunk in codec.announcement(LEVELS, 50):
-        rig.sensors.write(rig.sensors.frame(codec.ANNOUNCEMENT, chunk))
-    rig.next_report('mcu')
-    return 'announced' in rig.next_report('mcu')[2]
+    announce_levels(rig)
+    return _is_reported(rig, 'mcu', 'announced')
 
 
 # For each the value, and what shows it.
@@ -136,7 +140,6 @@ def others(rig: Rig) -> None:
     """A bridge with other parameters, and then one with the defaults again."""
     required = rig.row(_EFFECT)
     rig.end_bridge()
-    rig.bus.reply_has_cmd2 = True
     try:
         rig.start({name: value for name, (value, _look) in OTHER.items()})
         for name, (value, look) in OTHER.items():
@@ -145,6 +148,5 @@ def others(rig: Rig) -> None:
                 found, value, rel_tol=_CLOSE), f'{name}: {found}, not {value}')
     finally:
         rig.end_bridge()
-        rig.bus.reply_has_cmd2 = False
         rig.robot.mounts.clear()
         rig.start()

@@ -79,6 +79,7 @@ class Rig(Stage):
             board.start_connection()
         self.bridge_number += 1
         self._parameters = parameters
+        self.bus.reply_has_cmd2 = parameters.get('bus/reply_has_cmd2', False)
         ports = {link: line.port for link, line in self.lines.items()}
         self.bridge_name = f'bridge_{self.bridge_number}'
         self.child_bridge = self.bridge(
