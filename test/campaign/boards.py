@@ -419,7 +419,8 @@ class BusBoard(Board):
         probe: likewise to SYNC and ECHO.
         in_step: False after a reset, until a SYNC.
         lost_echoes: ECHOs since the latest one that returned.
-        lost_questions: so many questions for its announcement are not answered.
+        announces: the chunks of its announcement.
+        lost_questions: so many questions for them are not answered.
         reply_has_cmd2: its replies have the CMD2 of their requests.
         check_fence: called for each request that needs one.
     """
@@ -434,7 +435,7 @@ class BusBoard(Board):
         self.react: Optional[Callable[[Request], Optional[Reaction]]] = None
         self.probe: Optional[Callable[[Request], Optional[Reaction]]] = None
         self.in_step, self.lost_echoes = True, 0
-        self.announces = b''
+        self.announces: List[bytes] = []
         self.lost_questions = 0
         self.reply_has_cmd2 = False
         self.readings = 0
@@ -557,7 +558,7 @@ class BusBoard(Board):
             self.lost_questions -= 1
             other = Reaction()
         elif request.cmd2 == ANNOUNCE:
-            chunks = codec.announcement(self.announces, 30)[request.data[0]:]
+            chunks = self.announces[request.data[0]:]
             other = Reaction([(0, reply_frame(codec.OK, chunks[0]) if chunks else _NO_CHUNK)])
         else:
             other = self.react(request) if is_function and self.react else None

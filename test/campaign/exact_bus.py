@@ -23,6 +23,9 @@ _ROS_TIME = 0.2          # s that ROS may take for a call
 _LATE = 0.1              # s after the timeout
 SERVICES = 'lift', 'gimbal', 'bus/request', 'press'
 _SYNC_REPEATED = 'bus: the board does not answer ECHO; SYNC is repeated'
+_NO_ANNOUNCEMENT = 'bus: the board does not answer the question for its announcement'
+_WRONG_CRC = 'bus: the CRC of the announcement does not match'
+_ASKED_AGAIN = 0.5, 1.0, 2.0, 4.0, 8.0      # s after a question for the announcement was given up
 _FUNCTIONS = {'lift': codec.LIFT, 'gimbal': codec.GIMBAL, 'press': PRESS}
 _DIRECTIONS = {'lift': 2, 'gimbal': 4, 'press': 2}
 _TIMEOUTS = {'lift': MOTION_TIMEOUT, 'gimbal': MOTION_TIMEOUT, 'press': PRESS_TIMEOUT,
@@ -517,12 +520,10 @@ def announced(rig: Rig) -> None:
     """A board announces a function; another one, which announces nothing, takes its place."""
     required = rig.row('a function is sent only to the board that announced it')
     calls = Calls(rig)
+    chunks = codec.announcement(PUMP_ROWS, 30)
+    _ignored(rig, chunks)
     for same_port in rig.tries(True, False):
-        rig.bus.lost_questions = 6      # two questions: each is sent three times
-        reconnect(rig)
-        required.wait(lambda: not rig.bus.lost_questions, 'it is asked again', 10.0)
-        rig.sleep(REPLY_TIMEOUT + _LATE)        # the last question is given up
-        rig.bus.announces = PUMP_ROWS
+        rig.bus.announces = chunks
         reconnect(rig)
         question = required.wait(lambda: [
             each for each in rig.bus.connection_requests if each.cmd2 == ANNOUNCE],
@@ -532,11 +533,10 @@ def announced(rig: Rig) -> None:
         required.wait(lambda: rig.robot.call('pump').success, 'pump is served', 10.0)
         asked = rig.bus.count(ANNOUNCE)
         rig.robot.call('bus/sync')
-        chunks = len(codec.announcement(PUMP_ROWS, 30))
-        required.wait(lambda: rig.bus.count(ANNOUNCE) >= asked + chunks, 'asked again', 5.0)
+        required.wait(lambda: rig.bus.count(ANNOUNCE) >= asked + len(chunks), 'asked again', 5.0)
         required.wait(lambda: rig.robot.call('pump').success, 'pump is served again', 10.0)
         required.wait(lambda: rig.bus.count(TICK) > 2, 'tick is polled')
-        rig.bus.announces, executed = b'', rig.bus.executed[PUMP, b'']
+        rig.bus.announces, executed = [], rig.bus.executed[PUMP, b'']
         if same_port:
             rig.bus.react = lambda request: _executed(0.3)
             lift = calls.start('lift')
@@ -560,6 +560,29 @@ def announced(rig: Rig) -> None:
         count = rig.bus.count(TICK)
         rig.sleep(0.3)
         required.check(rig.bus.count(TICK) == count, 'tick is polled at the other board')
+
+
+def _ignored(rig: Rig, chunks: List[bytes]) -> None:
+    """A text whose CRC is wrong is read three times. A question without an answer is asked again
+    five times, later and later; each is sent three times."""
+    required = rig.row('a function is sent only to the board that announced it')
+    logged = rig.row('what happened is in the log')
+    rig.settle()
+    rig.bus.announces = [chunk[:2] + b'\x12\x34' + chunk[4:] for chunk in chunks]
+    reconnect(rig)
+    logged.wait(lambda: rig.logs.find(_WRONG_CRC), 'a wrong CRC', 10.0)
+    required.check(rig.bus.count(ANNOUNCE) == 3 * len(chunks),
+                   f'{rig.bus.count(ANNOUNCE)} questions to a board with a wrong CRC')
+    rig.wait_in_step()
+    required.check(f'{NODE}/pump' not in _services(), 'a text with a wrong CRC is used')
+    rig.settle()
+    rig.bus.lost_questions = 3 * (1 + len(_ASKED_AGAIN))
+    reconnect(rig)
+    required.wait(lambda: not rig.bus.lost_questions, 'it is asked again', 40.0)
+    asked = [each.t for each in rig.bus.requests if each.cmd2 == ANNOUNCE]
+    for pause, before, again in zip(_ASKED_AGAIN, asked[2::3], asked[3::3]):
+        rig.in_time(required, before, again, pause + REPLY_TIMEOUT + 0.3, 'asked again', pause)
+    logged.wait(lambda: rig.logs.find(_NO_ANNOUNCEMENT), 'that it does not answer', 10.0)
 
 
 def _services() -> List[str]:
@@ -586,9 +609,12 @@ def polls(rig: Rig) -> None:
 def _check_turns(rig: Rig) -> None:
     """Polls that fail, and polls that take so long that one always waits; then each in time."""
     required = rig.row('polls go on in their period, and calls go before them')
-    rig.bus.react = lambda request: _FAILED
-    count = len(rig.bus.requests)
-    rig.wait(lambda: len(rig.bus.requests) > count + 20, 'polls that fail')
+    for reaction in _FAILED, _replied(_refusal(0x20)), _replied(_refusal(codec.BAD_CHECKSUM)):
+        rig.bus.react = lambda request: reaction
+        count = len(rig.bus.requests)
+        required.wait(lambda: all(
+            [each.cmd2 for each in rig.bus.requests[count:]].count(cmd2) > 3 for cmd2 in PERIODS),
+            'polls that fail')
     rig.bus.react = lambda request: _executed(0.15)
     for _ in range(3):
         outcome = rig.robot.call('bus/request', codec.FUNCTION, MEMORY, b'1')

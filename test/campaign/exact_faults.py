@@ -5,6 +5,7 @@ stalls of the bridge, and resets of the boards.
 """
 import contextlib
 import itertools
+import math
 import time
 from typing import Callable, Dict, Iterable, NamedTuple
 
@@ -107,6 +108,9 @@ def lent(rig: Rig) -> None:
         required.check(not rig.robot.call('bus/release', 'campaign', 1.0).success,
                        'lent while the lift moves')
         lift.result()
+        for by, loan in (' ', 1.0), ('campaign', -1.0), ('campaign', math.nan):
+            required.check(not rig.robot.call('mcu/release', by, loan).success,
+                           f'lent to {by!r} for {loan} s')
         required.check(not rig.robot.call('arduino/reset').success, 'a pty has no lines')
         silences = len(rig.logs.find(SILENT))
         if is_given_back:           # the other time it stands

@@ -70,20 +70,29 @@ def second_bridge(rig: Rig) -> None:
 
 
 def mistakes(rig: Rig) -> None:
-    """Nodes are started with one port for two links, one name for two topics, and an argument."""
+    """Nodes are started with one port for two links, one name for two topics, wrong values, and an
+    argument. Each says what is wrong."""
     required = rig.row('a mistake in its configuration ends a node with status 1 or 2')
     alias = rig.path(f'alias_{time.monotonic_ns()}')
     os.symlink(rig.car_line.port, alias)
-    for status, arguments in (
-            (1, [f'_arduino/port:={rig.car_line.port}', f'_bus/port:={alias}']),
-            (1, [f'_mcu/port:={rig.path("absent")}', 'mcu/range_1:=mcu/range_2']),
-            (1, [f'_mcu/port:={rig.path("absent")}', '_mcu/timeout:=true']),
-            (2, ['__log:=/dev/null', 'wrong'])):
+    absent, row = f'_mcu/port:={rig.path("absent")}', '{ros_type: std_msgs/UInt8, layout: <B, '
+    for status, words, arguments in (
+            (1, 'which is also the port of',
+             [f'_arduino/port:={rig.car_line.port}', f'_bus/port:={alias}']),
+            (1, '/mcu/range_2', [absent, 'mcu/range_1:=mcu/range_2']),
+            (1, 'mcu/timeout is True', [absent, '_mcu/timeout:=true']),
+            (1, 'arduino/heartbeat_rate is 0', [absent, '_arduino/heartbeat_rate:=0']),
+            (1, 'boards', [absent, '_boards:=[nowhere]']),
+            (1, 'mcu/messages/low/type is 1',
+             [absent, '_mcu/messages:={low: %stype: 1, fields: [data]}}' % row]),
+            (1, 'has no field date', [absent, '_mcu/messages:={low: %stype: 40, fields: [date]}}'
+                                      % row]),
+            (2, 'unknown argument', ['__log:=/dev/null', 'wrong'])):
         name = f'mistake_{time.monotonic_ns()}'     # without parameters of another one
         node = rig.child(name, [*rig.bridge_command, f'__name:={name}', *arguments])
         required.wait(lambda: not node.alive, f'with {arguments} it ends')
-        required.check(node.process.returncode == status,
-                       f'{arguments}: exit status {node.process.returncode}')
+        required.check(node.process.returncode == status and words in node.tail(),
+                       f'{arguments}: exit status {node.process.returncode}, {node.tail()}')
 
 
 def suspended_subscriber(rig: Rig) -> None:

@@ -1,21 +1,38 @@
 """Parameters, exactly: what those do that have other values than their defaults."""
+import json
 import math
 import struct
 import termios
 import time
-from typing import Any, Callable, Dict, Tuple
+from typing import Any, Callable, Dict, List, Tuple
+
+import rospy
+from geometry_msgs.msg import Quaternion, QuaternionStamped
+from std_msgs.msg import Bool, Header, Int16, Int16MultiArray
 
 import by_definition as codec
-from .boards import MEMORY, TIMED, Reaction
+from .boards import CUSTOM, MEMORY, TIMED, Reaction
 from .exact_data import opened
 from .exact_node import announce_levels
-from .rig import PREFIX, Rig
-from .robot import Published
+from .rig import PREFIX, PUBLISHED, Rig
+from .robot import NODE, Published
 
 _EFFECT = 'a parameter with another value than its default has its effect'
 _CLOSE = 0.05       # by which a number may be off; relative
 _FRAME_TIMEOUT = 0.2    # s
 _AGE = 1.0          # s, of a command
+_DOOR, _LEVEL, _LEVELS, _CAMERA = range(80, 84)     # custom messages whose values are converted
+_ANGLES = 0.3, -0.2, 1.0    # rad: roll, pitch and yaw
+_MESSAGES = 'arduino/messages'
+_CONVERTED = {
+    'door': {'type': _DOOR, 'ros_type': 'std_msgs/Bool', 'layout': '<B', 'fields': ['data']},
+    'level': {'type': _LEVEL, 'ros_type': 'std_msgs/Int16', 'layout': '<h', 'fields': ['data'],
+              'scale': 0.1},
+    'levels': {'type': _LEVELS, 'ros_type': 'std_msgs/Int16MultiArray', 'layout': '<h*',
+               'fields': ['data'], 'scale': 0.1},
+    'camera': {'type': _CAMERA, 'direction': 'to_board', 'scale': 0.0001, 'layout': '<3h',
+               'ros_type': 'geometry_msgs/QuaternionStamped',
+               'fields': [f'quaternion.{angle}' for angle in ('roll', 'pitch', 'yaw')]}}
 
 
 def _latest(rig: Rig, topic: str, send: Callable[[], None]) -> Published:
@@ -112,6 +129,35 @@ def _announcements(rig: Rig) -> bool:
     return _is_reported(rig, 'mcu', 'announced')
 
 
+def _conversions(rig: Rig) -> None:
+    """Values that are true or false, whole numbers, and angles of a quaternion."""
+    published: List[Tuple[str, Any]] = []
+    subscribers = [rospy.Subscriber(
+        f'{NODE}/{name}', kind, lambda message, name: published.append((name, message.data)), name)
+        for name, kind in (('door', Bool), ('level', Int16), ('levels', Int16MultiArray))]
+    camera = rospy.Publisher(f'{NODE}/camera', QuaternionStamped, queue_size=1)
+    rig.wait(lambda: all(each.get_num_connections() for each in (camera, *subscribers)),
+             'the bridge is connected')
+    for name, type_, data, wanted in (
+            ('door', _DOOR, b'\0', False), ('door', _DOOR, b'\2', True),
+            ('level', _LEVEL, struct.pack('<h', 126), 13), ('level', _LEVEL, b'\xF2\xFF', -1),
+            ('levels', _LEVELS, struct.pack('<3h', 126, 124, -126), (13, 12, -13))):
+        published.clear()
+        rig.car.write(codec.arduino_packet(type_, data))
+        rig.row(PUBLISHED).wait(lambda: published == [(name, wanted)],
+                                f'{name} is {wanted}, not {published}')
+    half = [angle / 2 for angle in _ANGLES]
+    (a, b, c), (x, y, z) = map(math.cos, half), map(math.sin, half)
+    turned = [x * b * c - a * y * z, a * y * c + x * b * z, a * b * z - x * y * c,
+              a * b * c + x * y * z]
+    camera.publish(Header(), Quaternion(*(2 * part for part in turned)))    # of any length
+    rig.row('values arrive unchanged; SPEED limited, LED text checked').wait(
+        lambda: struct.pack('<3h', *(round(angle * 1e4) for angle in _ANGLES)) in [
+            each.data for each in rig.car.packets if each.type == _CAMERA], 'the angles')
+    for each in (camera, *subscribers):
+        each.unregister()
+
+
 # For each the value, and what shows it.
 OTHER: Dict[str, Tuple[Any, Callable[[Rig], Any]]] = {
     'base_frame_id': ('base', _base_frame_id),
@@ -137,15 +183,17 @@ OTHER: Dict[str, Tuple[Any, Callable[[Rig], Any]]] = {
 
 
 def others(rig: Rig) -> None:
-    """A bridge with other parameters, and then one with the defaults again."""
+    """A bridge with other parameters and rows, and then one with the defaults again."""
     required = rig.row(_EFFECT)
     rig.end_bridge()
     try:
-        rig.start({name: value for name, (value, _look) in OTHER.items()})
+        rig.start({**{name: value for name, (value, _look) in OTHER.items()}, _MESSAGES: json.dumps(
+            {**CUSTOM[_MESSAGES], **_CONVERTED})})
         for name, (value, look) in OTHER.items():
             found = look(rig)
             required.check(found == value or isinstance(value, float) and math.isclose(
                 found, value, rel_tol=_CLOSE), f'{name}: {found}, not {value}')
+        _conversions(rig)
     finally:
         rig.end_bridge()
         rig.robot.mounts.clear()

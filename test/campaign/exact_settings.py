@@ -106,7 +106,14 @@ def confirmed(rig: Rig) -> None:
             required.check(told == {'gain': number / 4, 'ramp': number * 10 + loses}, f'{told}')
             required.wait(lambda: car.values == {1: number / 4, 2: number * 10 + loses}, 'in use')
             rig.in_time(required, began, time.monotonic(), _IN_USE_IN, 'both are in use')
+        car.loses = 1
+        _set(gain=2.0)
+        rig.row('what happened is in the log').wait(lambda: rig.logs.find(
+            r'arduino: the board has not confirmed gain = 2.0, it uses 1.0'), 'not confirmed', 10.0)
+        required.wait(lambda: 'gain=2' in rig.next_report('arduino')[2]['settings unconfirmed'],
+                      'shown as unconfirmed', 10.0)
         car.loses = 0
+        required.wait(lambda: car.values[1] == 2.0, 'it is sent again each second', 3.0)
         required.wait(lambda: _set(gain=99.0)['gain'] == _MOST_USED[1], "the board's limit is told")
         required.wait(lambda: rospy.get_param(f'{NODE}/settings/arduino')
                       == {'gain': _MOST_USED[1], 'ramp': 42}, 'the parameters', 10.0)
