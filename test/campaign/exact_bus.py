@@ -79,6 +79,8 @@ CASES = (
 # Tried with two services only: those of the session, which are the same for all. INVALID because of
 # noise, and the request behind the noise is executed; replies to ECHO and SYNC that are wrong.
 SESSION_CASES = (
+    Case('bad checksum in two bytes, then a reply',
+         [_replied(reply_frame(codec.INVALID, bytes((codec.BAD_CHECKSUM, 0)))), _DONE], 'done', 2),
     Case('with data in its reply', [Reaction([(0, reply_frame(codec.OK, b'1234'))], True)], 'done'),
     *(Case(f'INVALID {code:#x}, but executed', [_executed(0.01, before=_refusal(code)), _DONE],
            'not known') for code in (codec.BAD_CHECKSUM, codec.NOT_SYNCHRONISED, 0x20)),

@@ -8,12 +8,16 @@ import time
 from collections import defaultdict
 from typing import IO, Dict, List, NamedTuple, Tuple
 
+import rospy
+from roscpp.srv import SetLoggerLevel
+
 import by_definition as codec
 from serial_communication.msg import SerialMsg
 from witness import LATE
 from .boards import ALIVE, BLOB, CLIFF, COUNTER, NOTE, TIMED
 from .exact_car import Drive
 from .rig import MOUNT, NOISE, PREFIX, PUBLISHED, UNTIL_PUBLISHED, Rig
+from .robot import NODE
 
 REPORTED = 'a silent sensor board: reports each second, no old values'
 _COUNTED = 'the counters in /diagnostics are exact'
@@ -50,10 +54,12 @@ DAMAGE = {
           for packet in _NO_ROTATIONS),
         ('implausible errors', codec.arduino_packet(BLOB, b'\1\0')),
         ('implausible errors', codec.arduino_packet(codec.STEERING_ANGLE, b'\x01\x04')),
-        ('oversize errors', b'\x01' * 300 + b'\0')),
+        ('oversize errors', b'\x01' * 300 + b'\0'),
+        ('oversize errors', codec.arduino_packet(BLOB, 64 * b'\1\2\3\0'))),     # 257 bytes
     'mcu': 3 * (
         ('checksum errors', bytes((*_VALID[:8], _VALID[8] ^ 1, *_VALID[9:]))),
         ('framing errors', _VALID[:-1] + b'\x04'), ('framing errors', b'\x77'),
+        ('framing errors', b'\x02\0\0\x03'), ('framing errors', b'\x02\x01\x55\x55\x03'),
         ('framing errors', codec.mcu_frame(codec.SENSORS, 0, b'12345678')),
         ('length errors', codec.mcu_frame(CLIFF, 0, b'12')))}
 
@@ -72,10 +78,21 @@ def at_rest(rig: Rig) -> None:
         rig.robot.mounts == _MOUNTS, f'{rig.robot.mounts}')
     for severity in range(4):
         rig.car.write(codec.arduino_packet(severity, b'text %d\0' % severity))
-    found = len(rig.logs.find(r'says: line \d'))
+    found, logged = len(rig.logs.find(r'says: line \d')), rig.row('what happened is in the log')
+    rig.car.write(codec.arduino_packet(1, b'odd \xff\x1b[2J\n text\0'))
     rig.car.write(b''.join(codec.arduino_packet(1, b'line %d\0' % number) for number in range(90)))
-    rig.row('what happened is in the log').wait(
-        lambda: len(rig.logs.find(r'says: line \d')) == found + 90, 'all texts of the board', 10.0)
+    logged.wait(lambda: len(rig.logs.find(r'says: line \d')) == found + 90,
+                'all texts of the board', 10.0)
+    logged.check(rig.logs.find('says: odd [^\x1b\n]* text') and not rig.logs.find('says: text 0'),
+                 'a text with control characters is shown as it is, or a DEBUG text is shown')
+    set_level = rospy.ServiceProxy(f'{NODE}/set_logger_level', SetLoggerLevel)
+    set_level('rosout', 'debug')
+
+    def is_shown() -> List[str]:
+        rig.car.write(codec.arduino_packet(0, b'detail\0'))
+        return rig.logs.find(r'\[DEBUG\].*arduino says: detail')
+    logged.wait(is_shown, 'a DEBUG text')
+    set_level('rosout', 'info')
 
 
 def measurements(rig: Rig) -> None:
