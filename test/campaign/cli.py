@@ -7,13 +7,13 @@ import sys
 import time
 from argparse import Namespace
 from pathlib import Path
-from typing import Any, Dict, Iterator, NamedTuple, Sequence, Tuple
+from typing import Any, Dict, Iterator, NamedTuple, Sequence, Tuple, Type
 
 from processes import StageError
 from serial_communication.output import prepare_output
 from . import (exact_bus, exact_car, exact_data, exact_faults, exact_node, exact_parameters,
                exact_settings)
-from .lines import NetworkLine
+from .lines import NetworkLine, Rfc2217Line, SerialLine
 from .requirements import Table
 from .rig import NAMES, Rig, Scenario
 from .storm import Storm
@@ -32,7 +32,7 @@ class Group(NamedTuple):
 
     scenarios: Tuple[Scenario, ...]
     parameters: Dict[str, Any] = {}
-    network: bool = False       # whether the boards are behind networks
+    line: Type[SerialLine] = SerialLine     # what the boards are behind
     events: Sequence[str] = ()      # patterns; if all scenarios were run, its log has each
 
 
@@ -54,7 +54,9 @@ SHARES = (
      Group((exact_faults.no_limits,), exact_faults.NO_LIMITS),
      Group((exact_faults.queued,), {'bus/motion_timeout': exact_faults.LONG_TIMEOUT}),
      Group((exact_parameters.others, exact_node.ends)),
-     Group((*exact_faults.NETWORK, exact_node.ends), network=True)))
+     Group((*exact_faults.NETWORK, exact_node.ends), line=NetworkLine),
+     Group((exact_data.measurements, exact_car.commands, exact_bus.readings, exact_faults.closed),
+           line=Rfc2217Line)))
 GROUPS = [group for share in SHARES for group in share]
 
 
@@ -141,7 +143,7 @@ def run_scenarios(rig: Rig, groups: Sequence[Group], only: str = '') -> None:
         scenarios = [each for each in group.scenarios if only in name_of(each)]
         if not scenarios:
             continue
-        with _lines(rig, group.network):
+        with _lines(rig, group.line):
             rig.start(group.parameters)
             first = rig.bridge_number
             for scenario in scenarios:
@@ -153,17 +155,18 @@ def run_scenarios(rig: Rig, groups: Sequence[Group], only: str = '') -> None:
 def run_storm(rig: Rig, duration: float, seed: str, busy: int) -> None:
     """One half on serial lines, the other half with the boards behind networks."""
     rig.table.part = 'storm'
-    for network in (False, True):
-        with _lines(rig, network):
-            _carry_out_once(rig, Storm(rig, duration / 2, f'{seed} {network}', busy))
+    for line in SerialLine, NetworkLine:
+        with _lines(rig, line):
+            _carry_out_once(rig, Storm(rig, duration / 2, f'{seed} {rig.is_network}', busy))
     rig.table.runs['storm'] += duration / 60
 
 
 @contextlib.contextmanager
-def _lines(rig: Rig, network: bool) -> Iterator[None]:
+def _lines(rig: Rig, line: Type[SerialLine]) -> Iterator[None]:
     """New boards at the usual lines, or behind networks, and at the end no bridge."""
     before = rig.lines
-    rig.use_lines({name: NetworkLine(rig.path(name)) for name in NAMES} if network else before)
+    rig.use_lines(before if line is SerialLine else
+                  {name: line(rig.path(name)) for name in NAMES})
     yield
     rig.end_bridge()
     rig.use_lines(before)

@@ -158,14 +158,18 @@ def lent(rig: Rig) -> None:
 def closed(rig: Rig) -> None:
     """The other side of a network closes the connection: with a reset, or without one."""
     returns = rig.row(PORT_RETURNS)
-    for link, board in ('arduino', rig.car), ('bus', rig.bus), ('mcu', rig.sensors):
+    published = rig.robot.published['mcu/cliff']
+    for link, board, works in (
+            ('arduino', rig.car, lambda: rig.car.beats),
+            ('bus', rig.bus, lambda: rig.bus.connection_requests),
+            ('mcu', rig.sensors, lambda: rig.sensors.cliff() or len(published) > count)):
         for close in rig.lines[link].unplug, rig.lines[link].shut_down:
-            connection, began = board.connection, time.monotonic()
+            connection, count, began = board.connection, len(published), time.monotonic()
             rig.car.forget_beat()
             close()
-            returns.wait(lambda: board.connection > connection and board.line.plugged, link)
+            returns.wait(lambda: board.connection > connection and board.line.plugged and works(),
+                         link)
             rig.in_time(returns, began, time.monotonic(), PORT_RETURN, f'{link} {close.__name__}')
-    rig.wait(lambda: rig.car.beats, 'heartbeats')
     Drive(rig).command_until_accepted()
 
 

@@ -9,7 +9,10 @@ import socket
 import threading
 import time
 import tty
+from types import SimpleNamespace
 from typing import Any, Callable, Iterator, List
+
+import serial.rfc2217
 
 from .writes import Writes
 
@@ -150,11 +153,13 @@ class SerialLine(threading.Thread):
     def write(self, data: bytes) -> bool:
         """Send bytes to the bridge; False if the line is unplugged or full."""
         with self._lock:
-            data = self.damage(data)
-            try:
-                return os.write(self._master, data) == len(data)
-            except OSError:
-                return False
+            return self._write(self.damage(data))
+
+    def _write(self, data: bytes) -> bool:
+        try:
+            return os.write(self._master, data) == len(data)
+        except OSError:
+            return False
 
     def read_all(self) -> None:
         with self._lock:
@@ -167,7 +172,10 @@ class SerialLine(threading.Thread):
                     self._end()
                     return
                 self._bytes_read += len(data)
-                self.on_bytes(data, time.monotonic())
+                self._received(data)
+
+    def _received(self, data: bytes) -> None:
+        self.on_bytes(data, time.monotonic())
 
     def written(self, frames: int, now: float) -> List[float]:
         """When the bridge wrote so many frames that are read now: its latest writes. Of several
@@ -266,4 +274,32 @@ class NetworkLine(SerialLine):
                 self._master = connection.detach()
                 self._writes.watch_connection(self._master)
                 self._end_if_closed()       # while the network was frozen
+                self._accepted()
             super().read_all()
+
+    def _accepted(self) -> None:
+        """Called when there is another connection."""
+
+
+class Rfc2217Line(NetworkLine):
+    """The same with RFC 2217: its answers and doubled bytes are between those of the board."""
+
+    def plug(self, another_name: bool = False) -> None:
+        super().plug()
+        self.port = self.port.replace('socket', 'rfc2217')
+
+    def _accepted(self) -> None:
+        settings = SimpleNamespace(baudrate=0, bytesize=8, parity='N', stopbits=1, xonxoff=False,
+                                   rtscts=False, rts=False, dtr=False, cts=False, dsr=False,
+                                   ri=False, cd=False, break_condition=False,
+                                   reset_input_buffer=lambda: None,
+                                   reset_output_buffer=lambda: None)
+        self._manager = serial.rfc2217.PortManager(settings, SimpleNamespace(write=self._write))
+
+    def write(self, data: bytes) -> bool:
+        with self._lock:
+            return not self.frozen and self.plugged and self._write(
+                b''.join(self._manager.escape(self.damage(data))))
+
+    def _received(self, data: bytes) -> None:
+        super()._received(b''.join(self._manager.filter(data)))
