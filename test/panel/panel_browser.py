@@ -78,9 +78,9 @@ class Browser:
     def script(self, text, *arguments):
         return self.driver.execute_script(text, *arguments)
 
-    def script_until_done(self, text, *arguments):
+    def script_until_done(self, text, *arguments, seconds=PATIENCE):
         """Run a script that calls its last argument with its result."""
-        self.driver.set_script_timeout(PATIENCE)
+        self.driver.set_script_timeout(seconds)
         return self.driver.execute_async_script(text, *arguments)
 
     def all(self, selector):
@@ -140,13 +140,14 @@ class Browser:
             raise AssertionError(f'{selector} shows {shown[0]!r}, not {text!r}') from None
 
     def wait_for_updates(self, number):
-        """Wait for this number of updates: three frames of the browser each."""
+        """Wait for this number of updates: three frames of the browser each, which may take a
+        second each on a busy machine."""
         self.script_until_done('''
             let left = arguments[0];
             const next = () => {
                 if (left-- > 0) requestAnimationFrame(next); else arguments[1]();
             };
-            next();''', number * 3)
+            next();''', number * 3, seconds=PATIENCE + number * 3)
 
     def errors(self):
         """The warnings and errors in the console since the last call."""

@@ -109,7 +109,7 @@ class MonitorTest(BoardsTest):
         self.assertNotRegex(said, r'(?m)^mcu')       # it has no port
         self.assertRegex(said, r'(?m)^~voltage +[\d.]+ Hz  11\.50 V$')
         self.assertRegex(said, r'(?m)^~imu +[\d.]+ Hz  rpy 0\.0 0\.0 0\.0 deg')
-        said = self.once('--report')[1]
+        said = until(lambda: self.all_ok('--report'), 'every link is OK')
         self.assertRegex(said, r'(?m)^ports:\n  ')
         self.assertRegex(said, r'(?m)^  bus  OK  ready\n(    .*\n)*    checksum errors: 0$')
         self.assertIn(f"\n    port: {self.lines['bus'].near}\n", said)
@@ -118,9 +118,9 @@ class MonitorTest(BoardsTest):
         self.assertEqual(status, 1, said)
         self.assertRegex(said, r'(?m)^bus +ERROR ')
 
-    def all_ok(self):
+    def all_ok(self, *arguments):
         """The table if every link is OK."""
-        status, said = self.once()
+        status, said = self.once(*arguments)
         return said if status == 0 else ''
 
     def test_once_without_a_bridge(self):

@@ -210,3 +210,9 @@ def is_private(name, private):
     if owner == 'rospy':
         return attribute not in rospy.__all__
     return name in PRIVATE_MODULES or owner not in ('', 'self', 'cls') and attribute in private
+
+
+def test_a_server_that_was_shut_down_before_its_thread_ran_ends_without_an_error():
+    server = tcpros_base.TCPServer(lambda *_connection: None)
+    server.shutdown()
+    handshake._Acceptor(server, {}, SparingLog('ROS', LOGGER)).run()

@@ -91,9 +91,14 @@ class _Acceptor:
         """Accept connections until the server is shut down."""
         self._server.is_shutdown = False
         listener = self._server.server_sock
-        listener.listen(socket.SOMAXCONN)
-        listener.setblocking(False)
-        self._selector.register(listener, selectors.EVENT_READ)
+        try:
+            listener.listen(socket.SOMAXCONN)
+            listener.setblocking(False)
+            self._selector.register(listener, selectors.EVENT_READ)
+        except (OSError, ValueError):
+            if listener.fileno() >= 0:
+                raise
+            return      # rospy has shut down before this thread ran
         while not self._server.is_shutdown:
             try:
                 self._serve(listener)
