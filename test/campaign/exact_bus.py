@@ -570,7 +570,7 @@ def _ignored(rig: Rig, chunks: List[bytes]) -> None:
     required = rig.row('a function is sent only to the board that announced it')
     logged = rig.row('what happened is in the log')
     rig.settle()
-    rig.bus.announces = [chunk[:2] + b'\x12\x34' + chunk[4:] for chunk in chunks]
+    rig.bus.announces = codec.with_wrong_crc(chunks)
     reconnect(rig)
     logged.wait(lambda: rig.logs.find(_WRONG_CRC), 'a wrong CRC', 10.0)
     required.check(rig.bus.count(ANNOUNCE) == 3 * len(chunks),

@@ -253,7 +253,7 @@ def announcements(rig: Rig) -> None:
     again = rig.row('no command and no value after a reconnect, until announced again')
     for type_ in rig.tries(70, 72, 74):
         text = _TEXT % (type_, type_, type_ + 1)
-        wrong = [chunk[:2] + b'\x12\x34' + chunk[4:] for chunk in codec.announcement(text, 50)]
+        wrong = codec.with_wrong_crc(codec.announcement(text, 50))
         between = codec.announcement((b'between' + _HOIST) % type_, 50)
         damaged = codec.announcement(text, 50)[1][:-1] + b'#'
         _announce(rig, *codec.announcement(b'half' + text, 50)[:-1], *_NONSENSE, *wrong, *between,

@@ -89,8 +89,9 @@ def wait_for_answer(page, words, **options):
               f'the answer {words}', **options)
 
 
-def wait_for_attribute(page, selector, name, value):
-    page.wait(lambda page: page.attribute(selector, name) == value, f'{selector} has {value}')
+def wait_for_attribute(page, selector, name, value, **options):
+    page.wait(lambda page: page.attribute(selector, name) == value, f'{selector} has {value}',
+              **options)
 
 
 def press(page, button, holds, what, click=None):
@@ -307,8 +308,7 @@ def test_an_error_is_shown_and_counted_by_its_cause(page, robot):
         return int(page.text(card + ' .count')) >= before + 3
     again_if_stalled(three_are_counted)
     # The warning of those three may be over by now on a busy machine.
-    page.wait(lambda page: page.attribute(card, 'data-health') == 'warn', 'the card has a warning',
-              doing=send_wrong, every=0.3)
+    wait_for_attribute(page, card, 'data-health', 'warn', doing=send_wrong, every=0.3)
     assert 'checksum' in page.text(card + ' .causes')
     # Or that of the arduino, whose heartbeat is late while this machine is busy.
     page.wait(lambda page: re.match('! (mcu|arduino): warning', page.title), 'the title shows it',
