@@ -14,7 +14,7 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tu
 from rosgraph.names import resolve_name
 from tqdm import tqdm
 
-from processes import Child
+from processes import Child, StageError
 from serial_communication.boards import description
 from .nodes import topics_of_boards
 from .report import (CPU, SCHEDSTAT, Figures, Results, best, gaps_in_queue, latencies,
@@ -101,14 +101,24 @@ def _p99(seconds: List[float]) -> float:
 def latency(stage: BenchStage, plan: Plan, busy: int = 0) -> Results:
     """Latency from the board's write to the subscriber's callback; heartbeats; CPU by thread."""
     sides = {name: stage.side(name, ('arduino',)) for name in (*stage.bridges, 'polling')}
-    subscriber = stage.servant('nodes', 'subscriber', *[side.node for side in sides.values()])
-    stage.wait(lambda: not subscriber.ask('missing'), 'IMU and steering are connected')
+    subscriber = _subscriber(stage, sides.values())
     for side in sides.values():
         stage.wait(lambda: side.talk(0.2) and subscriber.ask('take', node=side.node),
                    f'the first packets of {side.node}')
     stage.busy(busy)
     return _in_turn(plan, {name: lambda side=side: _latency(side, subscriber, plan.seconds)
                            for name, side in sides.items()})
+
+
+def _subscriber(stage: BenchStage, sides: Iterable[Side]) -> Servant:
+    """Start the subscriber of IMU and steering, and wait until it is connected to every side."""
+    subscriber = stage.servant('nodes', 'subscriber', *[side.node for side in sides])
+    try:
+        stage.wait(lambda: not subscriber.ask('missing'), 'IMU and steering are connected')
+    except StageError as error:
+        ended = [side.node for side in sides if not side.child.alive]
+        raise StageError(f"{error}; missing: {subscriber.ask('missing')}; ended: {ended}") from None
+    return subscriber
 
 
 def _latency(side: Side, subscriber: Servant, seconds: float) -> Figures:
@@ -209,8 +219,7 @@ def stamps(stage: BenchStage, plan: Plan) -> Results:
     or 16 ms, and on a tty beside two busy processes."""
     ppms = {'board': 300.0, 'read': None}
     sides = {name: stage.side('bridge', ('arduino',)) for name in ppms}
-    subscriber = stage.servant('nodes', 'subscriber', *[side.node for side in sides.values()])
-    stage.wait(lambda: not subscriber.ask('missing'), 'IMU and steering are connected')
+    subscriber = _subscriber(stage, sides.values())
     for side in sides.values():
         _first_messages(stage, side)
 

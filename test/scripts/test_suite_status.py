@@ -3,6 +3,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 from pathlib import Path
 
@@ -30,12 +31,22 @@ def test_saves():
     pathlib.Path(__file__).with_name('environment').write_text(json.dumps(dict(os.environ)))
 """
 
+SEES = """
+import errno, json, os, pathlib, socket
+def test_sees():
+    with socket.socket() as client:
+        refused = client.connect_ex(('127.0.0.1', {})) == errno.ECONNREFUSED
+    pathlib.Path(__file__).with_name('seen').write_text(json.dumps(
+        dict(device=os.stat('/dev/pts').st_dev, refused=refused)))
+"""
+
 
 @pytest.fixture(name='suite')
 def fixture_suite(tmp_path):
     """A function that starts scripts/test on the given tests; the fixture ends it."""
     checkout = tmp_path / 'checkout'
-    for name in ('.ci/run', 'scripts/test', 'test/scripts/results.py', 'test/pytest.ini'):
+    for name in ('.ci/run', 'scripts/test', 'test/scripts/apart.py', 'test/scripts/results.py',
+                 'test/pytest.ini'):
         (checkout / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(str(CHECKOUT / name), str(checkout / name))
     (checkout / 'scripts/environment.bash').write_text(ENVIRONMENT)
@@ -109,6 +120,19 @@ def test_continuous_integration_uses_no_variable_of_this_machine(suite, tmp_path
     assert os.path.isabs(seen['HOME']) and seen['HOME'] == home.get('HOME', seen['HOME'])
     assert seen['TERM'] and seen['LANG'] == 'C.UTF-8' and '/usr/bin' in seen['PATH'].split(':')
     assert not {'PYTHONUNBUFFERED', 'ANYTHING'} & set(seen)
+
+
+def test_each_program_has_its_own_ports_and_pseudo_terminals_if_the_system_allows_it(
+        suite, tmp_path):
+    allowed = not subprocess.run(
+        ['unshare', '--net', '--mount', '/usr/bin/python3',
+         str(CHECKOUT / 'test/scripts/apart.py'), 'true'], stderr=subprocess.DEVNULL).returncode
+    device = os.stat('/dev/pts').st_dev
+    with socket.create_server(('127.0.0.1', 0)) as server:
+        said = suite(link=SEES.format(server.getsockname()[1])).communicate(timeout=PATIENCE)[0]
+    assert said.splitlines()[-1] == '1 passed, 0 failed'
+    seen = json.loads((tmp_path / 'checkout/test/link/seen').read_text())
+    assert [seen['device'] != device, seen['refused']] == [allowed, allowed]
 
 
 @pytest.mark.parametrize('sent, status', [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
