@@ -241,7 +241,7 @@ class Link:
         if now < self._presence.due:
             return
         talks = self.talks(now)
-        has_talked = self.last_frame_at is not None and self.last_frame_at >= opened_at
+        has_talked = self.unknown_bytes.understood_at >= opened_at
         if talks or has_talked or now >= opened_at + STARTUP_TIME:
             unknown = self.unknown_bytes.meaning(now)
             self._presence.update(talks, f'{unknown} `rosrun serial_communication ports` finds out '

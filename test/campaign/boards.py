@@ -242,9 +242,10 @@ class Car(Board):
         if self._last_beat == float('inf'):
             self._woke_at = now
         dropped = self._last_beat < self._woke_at + _DROPS or now > self._talked_at + _SILENT
-        if self.line.moved_late and self.gaps and self.gaps[-1][1] == self._last_beat:
-            before, after = self.gaps.pop()
-            self._measure_gaps(before, self.line.moved_late, after)
+        if self.line.moved_late:
+            gaps, self.gaps = self.gaps, []
+            for since, until in gaps:
+                self._measure_gaps(since, self.line.moved_late, until)
         self._measure_gaps(self._last_beat, sorted(self._not_arrived) if dropped else (), now)
         self._not_arrived.clear()
         self._last_beat = self.beat_at = now

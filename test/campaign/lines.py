@@ -20,6 +20,7 @@ _POLL = 20               # ms that a reader waits at most until it checks the li
 _SIZE = 65536            # bytes of one read
 _PTY_DELAY = 0.05        # s that the kernel may take to move bytes through a pseudo terminal
 _NOTED = 0.003           # s after the read of a frame until its write is known
+_MOVED = 0.5             # s that the kernel may take to move a frame on a busy machine
 
 
 class Clock:
@@ -56,9 +57,10 @@ class SerialLine(threading.Thread):
 
     Attributes:
         on_bytes: called with what the bridge wrote, and when it was read by `time.monotonic`.
-        not_arrived: when the bridge wrote what was not read before the latest frames.
-        moved_late: those of the frames before, of which the latest frames are some: the kernel
-            moved them later than the write of the frame before, whose time is that of another one.
+        not_arrived: when the bridge wrote what was not read before the latest frames, in the last
+            0.5 s.
+        moved_late: those of them that must have been of the latest frames, for which there are no
+            other writes: the kernel had moved them later than the bridge wrote the next ones.
         on_unplugged: called when the line is unplugged.
         on_moved: called with when the bridge wrote a frame, and when it was read.
         damage: returns what the bridge receives for bytes that the board sends.
@@ -98,6 +100,7 @@ class SerialLine(threading.Thread):
             tty.setraw(self.slave)
             os.set_blocking(self._master, False)
             self._writes.watch(self._device)
+            self._forget_writes()
             os.symlink(self._device, self.port + '~')
             os.replace(self.port + '~', self.port)
 
@@ -138,7 +141,7 @@ class SerialLine(threading.Thread):
         self.fill(2 * 4096)
 
     def thaw(self) -> None:
-        self._writes.next()
+        self._forget_writes()
         self.frozen = False
 
     def drain(self) -> None:
@@ -182,14 +185,25 @@ class SerialLine(threading.Thread):
         frames in one write, or of one that is not noted, it is the time of another one."""
         if not frames:
             return []
-        times = self._writes.next()
-        while len(times) < frames and time.monotonic() < now + _NOTED:
-            times += self._writes.next(_NOTED)
-        self.moved_late = self.not_arrived if len(times) < frames else []
-        times = [min(each, now) for each in times] or [now]
-        self.not_arrived, found = times[:max(0, len(times) - frames)], times[-frames:]
+        noted = self._noted + self._writes.next()
+        while len(noted) < frames and time.monotonic() < now + _NOTED:
+            noted += self._writes.next(_NOTED)
+        # A later write is of a later frame, unless it is only noted later.
+        before = max(sum(at <= now for at in noted),
+                     min(sum(at <= now + _NOTED for at in noted), frames))
+        self._noted = noted[before:]
+        times = [min(at, now) for at in noted[:before]]
+        lacking = max(0, frames - len(times))
+        self.moved_late, waiting = self.not_arrived[:lacking], self.not_arrived[lacking:]
+        times, found = times[:-frames], times[-frames:] or [now]
+        self.not_arrived = [at for at in waiting if at > now - _MOVED] + times
         self.on_moved(found[0], now)
         return found[:1] * (frames - len(found)) + found
+
+    def _forget_writes(self) -> None:
+        self._writes.next()
+        self._noted: List[float] = []       # of frames that are not read yet
+        self.not_arrived = []
 
     def run(self) -> None:
         while True:
@@ -273,6 +287,7 @@ class NetworkLine(SerialLine):
                 connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 self._master = connection.detach()
                 self._writes.watch_connection(self._master)
+                self._forget_writes()
                 self._end_if_closed()       # while the network was frozen
                 self._accepted()
             super().read_all()

@@ -178,6 +178,30 @@ def test_heartbeats_that_the_kernel_moves_one_by_one_were_in_time(
     assert car.gaps == gaps and car.all_beats == 2 + len(writes)
 
 
+def test_heartbeats_that_the_kernel_moves_one_by_one_for_a_while_were_in_time(line, talking_car):
+    """Each has the write of the one two later, until it has moved those that are left."""
+    car, heartbeat = talking_car, codec.arduino_packet(codec.HEARTBEAT)
+    car._last_beat = 0.99
+    noted = [[1.0], [1.01, 1.02, 1.03], [1.04], [1.05]]
+    line._writes.next = lambda seconds=0.0: noted.pop(0) if noted else []
+    for now, count in (1.0, 1), (1.03, 1), (1.04, 1):
+        car.read(heartbeat * count, now)
+    assert car.gaps == [(1.0, 1.03)]
+    car.read(heartbeat * 3, 1.05)
+    assert car.gaps == [] and car.all_beats == 6
+
+
+def test_a_write_after_a_read_is_of_a_later_heartbeat_unless_it_is_only_noted_later(
+        line, talking_car):
+    car, heartbeat = talking_car, codec.arduino_packet(codec.HEARTBEAT)
+    for now, count, noted, beat_at in (
+            (1.0, 1, [1.0], 1.0), (1.011, 2, [1.01, 1.029], 1.01), (1.035, 1, [], 1.029),
+            (1.0395, 1, [1.04], 1.0395)):
+        line._writes.next = lambda seconds=0.0, noted=noted: noted
+        car.read(heartbeat * count, now)
+        assert car.beat_at == beat_at
+
+
 @pytest.mark.parametrize('has_stalled, gaps', [(False, [(1.0, 1.031)]), (True, [])])
 def test_heartbeats_that_never_arrive_are_a_gap_but_not_just_after_a_stall(
         line, talking_car, has_stalled, gaps):

@@ -145,6 +145,19 @@ def test_types_that_nobody_knows_are_not_another_baud_rate(
 
 @pytest.mark.parametrize('kind, data', [
     (ArduinoLink, arduino.encode_raw(40, b'\1\2')), (McuLink, mcu.encode_raw(0x20, 0, b'\1'))])
+def test_a_message_of_unknown_type_does_not_end_the_time_in_which_a_board_may_start(
+        line, link_of, lines, monkeypatch, kind, data):
+    link = link_of(kind)
+    check, checked = link.check, []
+    line.write(data)
+    until(lambda: link.unknown_bytes.size)
+    monkeypatch.setattr(link, 'check', lambda now: (check(now), checked.append(now)))
+    until(lambda: len(checked) > 1)
+    assert not lines('the board is silent')
+
+
+@pytest.mark.parametrize('kind, data', [
+    (ArduinoLink, arduino.encode_raw(40, b'\1\2')), (McuLink, mcu.encode_raw(0x20, 0, b'\1'))])
 def test_types_that_the_board_may_still_announce_are_no_errors(
         line, logger, running, lines, monkeypatch, kind, data):
     monkeypatch.setattr(link_module, '_ANNOUNCING', 1e9)

@@ -1,10 +1,13 @@
 """Ctrl-C ends the campaign and the bench, and all processes that they have started."""
+import os
+import subprocess
 from pathlib import Path
 
 import psutil
 import pytest
 from processes import Stage
 from terminal import Terminal
+from waiting import until
 
 SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
 
@@ -28,6 +31,18 @@ def test_ctrl_c_ends_the_program_and_its_processes(name, arguments, says, tmp_pa
     assert terminal.status == 130, terminal.text()
     assert terminal.text().rstrip().endswith('stopped') and 'Traceback' not in terminal.text()
     assert processes_in(folder) == []
+
+
+def test_campaigns_on_broken_bridges_end_with_the_program_that_started_them(tmp_path):
+    program = subprocess.Popen([SCRIPTS / 'soak', '--broken', 'asked_once'],
+                               env=dict(os.environ, TMPDIR=str(tmp_path)),
+                               stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    try:
+        until(lambda: 'roscore' in processes_in(tmp_path), 'the campaign has started')
+    finally:
+        program.kill()
+        program.wait()
+    until(lambda: not processes_in(tmp_path), 'all have ended')
 
 
 def test_a_process_that_starts_during_ctrl_c_is_ended(tmp_path, monkeypatch):

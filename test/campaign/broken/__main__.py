@@ -62,7 +62,8 @@ def _run_once(broken: Broken, folder: Path) -> Tuple[Optional[bool], str]:
         (folder / PACKAGE.name / path).write_text(text)
     env = f'env PYTHONPATH={folder}:{os.environ["PYTHONPATH"]} '
     done = subprocess.run(
-        ['timeout', '--foreground', str(_TIME), sys.executable, '-m', 'campaign',
+        ['setpriv', '--pdeathsig', 'TERM',      # it ends with this program, however that ends
+         'timeout', '--foreground', '-k', '10', str(_TIME), sys.executable, '-m', 'campaign',
          '--keep', str(folder / 'records'), '--bridge', env + _NODE,
          '--part', broken.scenario, '--until', broken.requirement],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True, check=False)
