@@ -9,7 +9,6 @@ soak --broken [NAME...] runs it on the broken bridges of test/campaign/broken in
 """
 import argparse
 import os
-import sys
 from random import SystemRandom
 
 parser = argparse.ArgumentParser(
@@ -36,8 +35,8 @@ options = parser.parse_args()
 if options.keep and os.path.isdir(options.keep) and os.listdir(options.keep):
     parser.error(f'{options.keep} is not empty')
 # Only now: `--help` needs nothing that is installed or built.
+from serial_communication.output import end_with_output  # noqa: E402
 from .cli import main  # noqa: E402
 
-status = main(options)
-sys.stdout.flush()
+status = end_with_output('soak', lambda: main(options))
 os._exit(status)        # rospy's own exit may wait for a bridge that has ended

@@ -34,15 +34,19 @@ def test_ctrl_c_ends_the_program_and_its_processes(name, arguments, says, tmp_pa
 
 
 def test_campaigns_on_broken_bridges_end_with_the_program_that_started_them(tmp_path):
-    program = subprocess.Popen([SCRIPTS / 'soak', '--broken', 'asked_once'],
+    def mistakes():         # logs of nodes that its scenario starts, one after another
+        return len(list(tmp_path.rglob('mistake_*.out')))
+
+    program = subprocess.Popen([SCRIPTS / 'soak', '--broken', 'mistake_status_0'],
                                env=dict(os.environ, TMPDIR=str(tmp_path)),
                                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     try:
-        until(lambda: 'roscore' in processes_in(tmp_path), 'the campaign has started')
+        until(mistakes, 'its scenario runs')
     finally:
         program.kill()
         program.wait()
     until(lambda: not processes_in(tmp_path), 'all have ended')
+    assert mistakes() < 4, 'the scenario went on'
 
 
 def test_a_process_that_starts_during_ctrl_c_is_ended(tmp_path, monkeypatch):
@@ -67,9 +71,11 @@ def test_what_a_process_has_started_is_killed_with_it(tmp_path):
 
 
 def processes_in(folder):
-    """Return the names of the processes that run in this folder or below it."""
+    """Return the names of the processes that run in this folder or below it, or with a path in it
+    as an argument."""
     found = []
-    for process in psutil.process_iter(['cwd', 'name']):
-        if (process.info['cwd'] or '').startswith(str(folder)):
+    for process in psutil.process_iter(['cwd', 'cmdline', 'name']):
+        if any(text.startswith(str(folder))
+               for text in (process.info['cwd'] or '', *(process.info['cmdline'] or ()))):
             found.append(process.info['name'])
     return found
