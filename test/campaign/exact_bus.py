@@ -270,13 +270,13 @@ def readings(rig: Rig) -> None:
                 f'a raw request that reads was sent again: {outcome}')
     rig.settle()
     with rig.counted(rig.row('the counters in /diagnostics are exact'), 'bus',
-                     {'length errors': 1}):
+                     {'length errors': 1}) as began:
         rig.bus.react = lambda request: _replied(reply_frame(codec.OK, b'123'))
         outcome = rig.robot.call('get_environment')
         again.wait(lambda: rig.bus.requests[-1].cmd1 == codec.ECHO, 'a fence behind it')
         again.check((outcome.success, outcome.status) == (False, codec.OK),
                     f'a reply of three bytes: {outcome}')
-        rig.diagnosed('bus', 1, 'in the last second')
+        rig.diagnosed('bus', 1, 'in the last second', began)
     rig.settle()
     for _ in range(2):      # the second call is equal to the request before it
         rig.robot.call('lift', 0, 1)

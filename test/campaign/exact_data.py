@@ -139,14 +139,14 @@ def damaged(rig: Rig) -> None:
     rig.wait(lambda: unknown_types(rig) > before or not rig.car_line.write(_UNKNOWN), 'one counts')
     for link, board in rig.tries(('arduino', rig.car), ('mcu', rig.sensors)):
         keys = [key for key, _data in DAMAGE[link]]
-        with rig.counted(required, link, {key: keys.count(key) for key in keys}):
+        with rig.counted(required, link, {key: keys.count(key) for key in keys}) as began:
             for _key, data in DAMAGE[link]:
                 board.measure()
                 # A length error of the sensor board has the SEQ of the frame before it.
                 board.line.write(data if data[:1] != b'\x02' else codec.mcu_frame(
                     CLIFF, rig.sensors.seq, b'12') if data[2] == CLIFF else data)
                 board.measure()
-            rig.diagnosed(link, 1, 'errors in the last second')
+            rig.diagnosed(link, 1, 'errors in the last second', began)
             rig.compare(board)
     with rig.counted(required, 'mcu', {'framing errors': 2}):       # each has at most 1100 bytes
         rig.mcu_line.write(b'\x77' * 1500)

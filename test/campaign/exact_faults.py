@@ -303,7 +303,7 @@ def short_stall(rig: Rig) -> None:
             rig.measure()
             rig.sleep(held_at + 0.05 * number - time.monotonic())
         beats, began = rig.car.all_beats, time.monotonic()
-    rig.diagnosed('arduino', 1, 'heartbeat gap')
+    rig.diagnosed('arduino', 1, 'heartbeat gap', held_at)
     gap = float(rig.next_report('arduino')[2]['heartbeat max gap [ms]'])
     rig.row('the counters in /diagnostics are exact').check(gap >= 200, f'max gap {gap} ms')
     rig.wait_beats(AFTER)

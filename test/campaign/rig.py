@@ -6,7 +6,7 @@ import math
 import signal
 import sys
 import time
-from typing import Any, Callable, Dict, Iterator, List, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Sequence, Tuple
 
 from processes import Child, Stage, StageError
 from witness import LATE
@@ -235,23 +235,29 @@ class Rig(Stage):
 
     def next_report(self, link: str) -> Tuple[int, str, Dict[str, str]]:
         """Level, message and values of the next status of a link in /diagnostics."""
-        before = self.robot.reports.get(link, (0.0,))[0]
-        self.wait(lambda: self.robot.reports.get(link, (0.0,))[0] > before, '/diagnostics')
-        return self.robot.reports[link][1:]
+        before = self._reported_at(link)
+        self.wait(lambda: self._reported_at(link) > before, '/diagnostics')
+        return self.robot.reports[link][-1][1:]
 
-    def diagnosed(self, link: str, level: int, words: str) -> None:
-        """Check that /diagnostics soon shows this level and these words for a link."""
-        def shows() -> bool:
-            found, text, _values = self.next_report(link)
-            return found == level and words in text
+    def _reported_at(self, link: str) -> float:
+        reports = self.robot.reports[link]
+        return reports[-1][0] if reports else 0.0
+
+    def diagnosed(self, link: str, level: int, words: str, since: Optional[float] = None) -> None:
+        """Check that /diagnostics shows this level and these words for a link: soon, or since this
+        time."""
+        begin = self._reported_at(link) if since is None else since
         self.row('level and words in /diagnostics are true').wait(
-            shows, f'/diagnostics: {link} has level {level} and says "{words}"', 6.0)
+            lambda: any(at > begin and found == level and words in text
+                        for at, found, text, _values in list(self.robot.reports[link])),
+            f'/diagnostics: {link} has level {level} and says "{words}"', 6.0)
 
     @contextlib.contextmanager
-    def counted(self, required: Requirement, link: str, wanted: Dict[str, int]) -> Iterator[None]:
-        """Check that these counters in /diagnostics grow by exactly these numbers meanwhile."""
+    def counted(self, required: Requirement, link: str, wanted: Dict[str, int]) -> Iterator[float]:
+        """Check that these counters in /diagnostics grow by exactly these numbers meanwhile. It
+        begins just after a report, at the time that it returns."""
         before = self.next_report(link)[2]
-        yield
+        yield self._reported_at(link)
         for _ in range(2):      # the next report may be from before the event
             after = self.next_report(link)[2]
             grown = {key: int(after[key]) - int(before[key]) for key in wanted}

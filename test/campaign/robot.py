@@ -3,9 +3,11 @@ import contextlib
 import math
 import operator
 import time
+from collections import defaultdict, deque
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple, Union
+from typing import (Any, Callable, Deque, Dict, Iterator, List, NamedTuple, Optional, Tuple,
+                    Union)
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -241,7 +243,9 @@ class Robot:
         rospy.init_node('campaign', anonymous=True, disable_signals=True, disable_rosout=True,
                         log_level=rospy.FATAL)
         self.published: Dict[str, List[Published]] = {topic: [] for topic in TOPICS}
-        self.reports: Dict[str, Tuple[float, int, str, Dict[str, str]]] = {}    # of /diagnostics
+        # The latest of each link in /diagnostics: when it arrived, level, message and values.
+        self.reports: Dict[str, Deque[Tuple[float, int, str, Dict[str, str]]]] = defaultdict(
+            lambda: deque(maxlen=20))
         self.report_times: List[float] = []     # of those of the sensor board
         self.mounts: Dict[str, Tuple] = {}      # in /tf_static: parent, place and rotation by frame
         self.on_message: Callable[[str, Published], None] = self.keep
@@ -315,10 +319,10 @@ class Robot:
         if 'mcu' in message.status[0].name:
             self.report_times.append(time.monotonic())
         for status in message.status:
-            self.reports[status.name.split(': ')[-1].split(' ')[0]] = (
+            self.reports[status.name.split(': ')[-1].split(' ')[0]].append((
                 time.monotonic(), int(status.level), status.message,
                 {'hardware id': status.hardware_id,
-                 **{value.key: value.value for value in status.values}})
+                 **{value.key: value.value for value in status.values}}))
 
     def subscribe_to_traffic(self, on_frame: Callable[[SerialMsg], None]) -> rospy.Subscriber:
         return rospy.Subscriber('/serial_msg', SerialMsg, on_frame, tcp_nodelay=True)
