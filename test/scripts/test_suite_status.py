@@ -124,10 +124,10 @@ def test_continuous_integration_uses_no_variable_of_this_machine(suite, tmp_path
 
 def test_each_program_has_its_own_ports_and_pseudo_terminals_if_the_system_allows_it(
         suite, tmp_path):
-    allowed = not subprocess.run(
-        ['unshare', '--net', '--mount', '/usr/bin/python3',
-         str(CHECKOUT / 'test/scripts/apart.py'), 'true'], stderr=subprocess.DEVNULL).returncode
     device = os.stat('/dev/pts').st_dev
+    allowed = int(subprocess.check_output(
+        ['/usr/bin/python3', str(CHECKOUT / 'test/scripts/apart.py'),
+         'stat', '-c', '%d', '/dev/pts'])) != device
     with socket.create_server(('127.0.0.1', 0)) as server:
         said = suite(link=SEES.format(server.getsockname()[1])).communicate(timeout=PATIENCE)[0]
     assert said.splitlines()[-1] == '1 passed, 0 failed'
