@@ -17,6 +17,7 @@ from serial_communication.output import prepare_output
 from . import PACKAGE, Broken, all_broken
 
 _NODE = f"{sys.executable} -c 'from serial_communication.ros.node import main; main()'"
+_APART = Path(__file__).parents[2] / 'scripts' / 'apart.py'
 _AT_ONCE = 3     # they mostly wait
 _TIME = 400      # s that one of them may take at most: four tries
 _RUNS = 3        # at most, if the machine spoiled each try
@@ -63,7 +64,8 @@ def _run_once(broken: Broken, folder: Path) -> Tuple[Optional[bool], str]:
     env = f'env PYTHONPATH={folder}:{os.environ["PYTHONPATH"]} '
     done = subprocess.run(
         ['setpriv', '--pdeathsig', 'TERM',      # it ends with this program, however that ends
-         'timeout', '--foreground', '-k', '10', str(_TIME), sys.executable, '-m', 'campaign',
+         'timeout', '--foreground', '-k', '10', str(_TIME),
+         sys.executable, str(_APART), sys.executable, '-m', 'campaign',
          '--keep', str(folder / 'records'), '--bridge', env + _NODE,
          '--part', broken.scenario, '--until', broken.requirement],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True, check=False)
