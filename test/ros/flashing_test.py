@@ -16,8 +16,8 @@ import rostest
 from std_msgs.msg import UInt16
 
 from avr_boards import EmulatedBoard, build_firmware
-from boards import (Output, PACKAGE, PATIENCE, Diagnostics, Topic, command_topic, own_folder,
-                    until, wait_for_launch)
+from boards import (Output, PACKAGE, PATIENCE, Diagnostics, Topic, again_if_stalled,
+                    command_topic, own_folder, until, wait_for_launch)
 from emulated_board import BOOTLOADER
 from serial_communication.msg import SpeedPWMCommand
 
@@ -150,14 +150,9 @@ class Flashing(unittest.TestCase):
         self.run_line(copy)
         for victim in 'avrdude', 'release', 'bridge':
             bridge = self.bridge()
-            process = self.start(upload)
-            until(lambda: self.named('avrdude', process) or process.poll() is not None,
-                  'avrdude runs', UPLOAD)
-            self.assertIsNone(process.returncode, process.returncode and process.stdout.read())
-            before = self.board.get('rx_bytes')
-            until(lambda: self.board.get('rx_bytes') > before + PART, 'it writes', UPLOAD)
+            process, avrdude = again_if_stalled(lambda: self.begin(upload))
             os.kill(bridge if victim == 'bridge' else process.pid if victim == 'release'
-                    else self.named(victim, process)[0], signal.SIGKILL)
+                    else avrdude, signal.SIGKILL)
             if victim == 'bridge':
                 until(lambda: self.bridge_or_0() not in (0, bridge), 'it starts again', UPLOAD)
                 process.terminate()     # avrdude, disturbed, once took over 360 s
@@ -171,6 +166,20 @@ class Flashing(unittest.TestCase):
         # Whatever is left of a sketch: the next upload is whole.
         self.upload(upload)
         self.check_topic('light')
+
+    def begin(self, upload):
+        """Start an upload; return its process and avrdude's while it writes, None if it is over."""
+        process = self.start(upload)
+        until(lambda: self.named('avrdude', process) or process.poll() is not None,
+              'avrdude runs', UPLOAD)
+        self.assertIsNone(process.returncode, process.returncode and process.stdout.read())
+        before = self.board.get('rx_bytes')
+        until(lambda: self.board.get('rx_bytes') > before + PART, 'it writes', UPLOAD)
+        avrdude = self.named('avrdude', process)
+        if avrdude:
+            return process, avrdude[0]
+        self.assertEqual(process.wait(UPLOAD), 0)
+        return None
 
     def bridge_or_0(self):
         try:
