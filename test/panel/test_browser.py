@@ -726,8 +726,8 @@ def test_the_outcome_is_not_known_if_the_connection_is_lost(control_page, robot,
         until(lambda: control_page.all('[data-service="~lift"] button')[0].is_enabled(),
               'it is over')
         # Or the machine stalled, and the timeout was over before the connection was lost.
-        return 'the connection was lost before the answer was received' in ''.join(
-            control_page.texts('.answers li')[:1])
+        return 'the connection was lost before the answer was received' in control_page.text(
+            '.answers li')
     again_if_stalled(lost)
     control_page.errors()      # the console reports the lost connection, as it should
 
@@ -759,8 +759,8 @@ def test_the_outcome_is_not_known_if_the_connection_is_lost_in_a_hidden_tab(cont
         control_page.wait_for_text('#connection', 'live')
         control_page.wait(lambda page: page.all(up + ':enabled'), 'it is over')
         # Or the machine stalled, and the page took no commands as it was clicked.
-        return sent and 'the connection was lost before the answer was received' in ''.join(
-            control_page.texts('.answers li')[:1])
+        return sent and 'the connection was lost before the answer was received' in \
+            control_page.text('.answers li')
     again_if_stalled(lost)
     assert not robot.lift_requests
     control_page.script('delete document.hidden')
@@ -855,7 +855,7 @@ def test_a_reset_is_asked_for_and_a_lent_link_takes_no_command(control_page, rob
     control_page.click(reset + 'dialog button:last-of-type')
     assert not any('reset' in each for each in control_page.texts('.answers li'))
     press(control_page, reset + '> .controls button',
-          lambda page: 'reset the car refused' in ''.join(page.texts('.answers li')[:1]),
+          lambda page: 'reset the car refused' in page.text('.answers li'),
           'a pseudo terminal has no line for it', lambda _button: confirm(control_page, reset))
     assert 'has no control lines' in control_page.text('.answers li')
     release = rospy.ServiceProxy(NODE + '/arduino/release', Release)
@@ -970,9 +970,6 @@ def test_stop_is_sent_also_while_no_update_is_received(control_page, robot, cont
     # In its own thread: the panel sends SPEED 0 after each of them, but only for a second.
     driving = rospy.Timer(rospy.Duration(0.05), lambda _event: topic.publish(value=300))
 
-    def newest_answer():
-        return ''.join(control_page.texts('.answers li')[:1])
-
     def stopped():
         robot.car.forget()
         until(lambda: 300 in robot.car.speeds, 'another program drives')
@@ -987,8 +984,10 @@ def test_stop_is_sent_also_while_no_update_is_received(control_page, robot, cont
                 }, 20);""")
             robot.car.forget()
         control_page.wait_for_text('#connection', 'live')
-        control_page.wait(lambda _page: 'sending …' not in newest_answer(), 'it is answered')
-        if not newest_answer().startswith(('STOP sent', 'STOP not known /panel_test goes on')):
+        control_page.wait(lambda page: 'sending …' not in page.text('.answers li'),
+                          'it is answered')
+        if not control_page.text('.answers li').startswith(
+                ('STOP sent', 'STOP not known /panel_test goes on')):
             return False        # this machine stalled, and the page has closed the connection
         # The bridge itself sends one after a stall.
         since = time.monotonic()
