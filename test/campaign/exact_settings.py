@@ -1,11 +1,12 @@
 """Settings, exactly: of a car that loses requests and answers, is reset, and calibrates."""
+import contextlib
 import itertools
 import json
 import math
 import struct
 import threading
 import time
-from typing import Any, Dict, List
+from typing import Any, Dict, List, Optional
 
 import rospy
 from dynamic_reconfigure.msg import Config, DoubleParameter, IntParameter
@@ -81,9 +82,14 @@ class _Tunable:
         return f'gain={self.values[1]:g}, ramp={self.values[2]:g}'
 
 
-def _set(link: str = 'arduino', **values: float) -> Dict[str, float]:
+def _service(link: str, persistent: bool = False) -> rospy.ServiceProxy:
+    return rospy.ServiceProxy(f'{NODE}/settings/{link}/set_parameters', Reconfigure, persistent)
+
+
+def _set(link: str = 'arduino', service: Optional[rospy.ServiceProxy] = None,
+         **values: float) -> Dict[str, float]:
     """Set these; return what the bridge answers."""
-    config = rospy.ServiceProxy(f'{NODE}/settings/{link}/set_parameters', Reconfigure)(Config(
+    config = (service or _service(link))(Config(
         doubles=[DoubleParameter(name, value) for name, value in values.items() if name != 'ramp'],
         ints=[IntParameter(name, value) for name, value in values.items() if name == 'ramp'],
     )).config
@@ -93,11 +99,13 @@ def _set(link: str = 'arduino', **values: float) -> Dict[str, float]:
 def confirmed(rig: Rig) -> None:
     """The line loses requests and answers."""
     required = rig.row(_IN_USE)
-    with _Tunable(rig) as car:
+    service = _service('arduino', persistent=True)
+    service(Config())       # connects, so that only the bridge's answers are timed
+    with _Tunable(rig) as car, contextlib.closing(service):
         for loses, number in itertools.product((0, 3, 2), range(1, 5)):
             car.loses = loses
             began = time.monotonic()
-            told = _set(gain=number / 4, ramp=number * 10 + loses)
+            told = _set(service=service, gain=number / 4, ramp=number * 10 + loses)
             rig.in_time(required, began, time.monotonic(), _ANSWER, 'a set')
             values = rig.next_report('arduino')[2]
             if not values['settings unconfirmed']:

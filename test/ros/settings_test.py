@@ -193,7 +193,8 @@ class SettingsTest(unittest.TestCase):
                 self.car.say(chunk)
 
         self.rosout.wait_for(PACKAGE, 'announces gain', doing=lambda: announce(GAIN))
-        until(lambda: 'gain' in self.client.get_configuration(), 'gain comes')
+        until(lambda: 'gain' in self.client.get_configuration() and 'gain' in [
+            each['name'] for each in self.client.get_parameter_descriptions()], 'gain comes')
         self.car.write(wire.encode_raw(253, b'\7\4'))
         self.configuration(lambda values: values.gain == 4)
         self.assertEqual(self.client.update_configuration({'gain': 8}).gain, 8)
