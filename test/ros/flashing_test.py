@@ -1,7 +1,6 @@
 #!/usr/bin/python3
 """Follows doc/flashing.md: avrdude flashes an emulated Nano with Arduino's own bootloader through
 `release`, while roslaunch runs; and what is killed meanwhile."""
-import glob
 import os
 import re
 import shutil
@@ -11,6 +10,7 @@ import time
 import unittest
 from xmlrpc.client import ServerProxy
 
+import psutil
 import rosgraph
 import rospy
 import rostest
@@ -35,19 +35,6 @@ def commands():
         blocks = re.findall(r'^<!-- run by: scripts/test ros -->\n```sh\n(.*?)^```$', page.read(),
                             re.M | re.S)
     return [block.splitlines() for block in blocks]
-
-
-def children(pid):
-    """The processes below a process, the deepest last."""
-    found = []
-    for path in glob.glob('/proc/%d/task/*/children' % pid):
-        try:
-            with open(path) as file:
-                for child in map(int, file.read().split()):
-                    found += [child, *children(child)]
-        except OSError:
-            pass        # it has ended
-    return found
 
 
 class Flashing(unittest.TestCase):
@@ -171,14 +158,14 @@ class Flashing(unittest.TestCase):
     def begin(self, upload):
         """Start an upload; return its process and avrdude's while it writes, None if it is over."""
         process = self.start(upload)
-        until(lambda: self.named('avrdude', process) or process.poll() is not None,
+        until(lambda: self.avrdude_of(process) or process.poll() is not None,
               'avrdude runs', UPLOAD)
         before = self.board.get('rx_bytes')
         until(lambda: self.board.get('rx_bytes') > before + PART or process.poll() is not None,
               'it writes', UPLOAD)
-        avrdude = self.named('avrdude', process)
+        avrdude = self.avrdude_of(process)
         if avrdude:
-            return process, avrdude[0]
+            return process, avrdude
         self.upload(upload, process)
         return None
 
@@ -189,17 +176,15 @@ class Flashing(unittest.TestCase):
             return 0
 
     @staticmethod
-    def named(name, process):
-        """The processes of this name below a process."""
-        found = []
-        for pid in children(process.pid):
-            try:
-                with open('/proc/%d/comm' % pid) as file:
-                    if file.read().strip() == name:
-                        found.append(pid)
-            except OSError:
-                pass
-        return found
+    def avrdude_of(process):
+        """The id of avrdude's process below this one; None if there is none (any more)."""
+        try:
+            for child in psutil.Process(process.pid).children(recursive=True):
+                if child.name() == 'avrdude':
+                    return child.pid
+        except psutil.NoSuchProcess:
+            pass        # one has ended
+        return None
 
 
 if __name__ == '__main__':
