@@ -1,9 +1,12 @@
-"""Helpers for tests with emulated AVR boards: an emulated board with a bridge."""
+"""Helpers for tests with emulated AVR boards: an emulated board with a bridge, and tf."""
 import os
 import sys
 import time
 import unittest
 from contextlib import contextmanager
+
+import rospy
+import tf2_ros
 
 from boards import PACKAGE, Bridge, until
 
@@ -93,6 +96,18 @@ def until_announced(board, topic):
     while not topic.publishers:
         assert board.time < end, f'{topic.name} is not announced in {ANNOUNCED:g} emulated seconds'
         time.sleep(0.05)
+
+
+def transforms_with(test, target, source):
+    """A tf2 buffer, closed at the end of the test, that already receives this transform.
+
+    It has no transform from before its subscriber was connected.
+    """
+    buffer = tf2_ros.Buffer()
+    test.addCleanup(tf2_ros.TransformListener(buffer).unregister)
+    until(lambda: buffer.can_transform(target, source, rospy.Time()),
+          'tf has %s in %s' % (source, target))
+    return buffer
 
 
 def upward(orientation):

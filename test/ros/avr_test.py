@@ -15,12 +15,11 @@ from xmlrpc.client import ServerProxy
 import rosgraph
 import rospy
 import rostest
-import tf2_ros
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Bool, UInt16
 from std_srvs.srv import Trigger
 
-from avr_boards import OnBoard, until_announced, upward
+from avr_boards import OnBoard, transforms_with, until_announced, upward
 from board_ends import angle_between, from_euler
 from boards import (NOT_SENT, Output, PACKAGE, PATIENCE, TIMEOUT, Topic, Waiter, again_if_stalled,
                     command_topic, own_folder, service, until, until_in_step, wait_for_launch)
@@ -59,9 +58,7 @@ class Car(OnBoard):
 
     def test_a_rotation_of_the_car_is_published_on_imu_and_tf(self):
         imu = self.collect(Topic(self.own('imu'), Imu))
-        transforms = tf2_ros.Buffer()
-        listener = tf2_ros.TransformListener(transforms)
-        self.addCleanup(listener.unregister)
+        transforms = transforms_with(self, 'base_link', 'imu_orientation')
         angles = 50, -20, 35
         self.turn_to(imu, *angles)
         message = imu.messages[-1]
@@ -200,9 +197,7 @@ class SensorBoard(OnBoard):
 
     def test_heading_pitch_and_roll_are_published_as_they_are_in_the_world(self):
         imu = self.collect(Topic('/mcu/imu', Imu))
-        transforms = tf2_ros.Buffer()
-        listener = tf2_ros.TransformListener(transforms)
-        self.addCleanup(listener.unregister)
+        transforms = transforms_with(self, 'mcu_imu', 'mcu_imu_orientation')
         self.restore(heading=0, pitch=0, roll=0)
         # 350 degrees is wrapped in the frame's int16, and ROS counts yaw counter-clockwise.
         for heading, pitch, roll in ((350, 0, 0), (179.5, 30, -40)):

@@ -10,11 +10,10 @@ from xmlrpc.client import ServerProxy
 import rosgraph
 import rospy
 import rostest
-import tf2_ros
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
-from avr_boards import ANNOUNCED, EmulatedBoard, build_firmware
+from avr_boards import ANNOUNCED, EmulatedBoard, build_firmware, transforms_with
 from boards import Output, PACKAGE, PATIENCE, Topic, until
 from serial_communication.framing.rotation import angles
 
@@ -75,8 +74,7 @@ class DiffDriveTest(unittest.TestCase):
             and (told.linear.x, told.angular.z) == (0, 0)
 
     def test_cmd_vel_drives_and_odom_has_where_the_base_is(self):
-        transforms = tf2_ros.Buffer()
-        self.addCleanup(tf2_ros.TransformListener(transforms).unregister)
+        transforms = transforms_with(self, 'odom', 'base_link')
         for ahead, turn in (0.3, 0.0), (0.0, 1.5), (0.2, -0.8), (-0.2, 0.0):
             self.drive_until(lambda a=ahead, t=turn: self.is_at(a, t),
                              f'it drives at {ahead}, {turn}', ahead, turn)
