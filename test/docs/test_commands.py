@@ -22,7 +22,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from pages import PAGES, ROOT, blocks
 from stage import Stage
-from waiting import PATIENCE
+from waiting import PATIENCE, again_if_stalled
 
 sys.path.insert(0, str(ROOT / 'test' / 'firmware'))
 from emulated_board import build_firmware  # noqa: E402
@@ -149,8 +149,12 @@ def test_a_block_beside_emulated_boards_succeeds(block, master):
     with master.background([
             f'roslaunch serial_communication bridge.launch sim:=avr sim_dir:={folder}']):
         master.until(lambda: master.links_are_ok(*LINKS), 'all links are OK')
-        done = master.run(block.text)
-        assert done.returncode == 0 and done.stdout.strip(), done.stdout
+
+        def answers():      # socat waits for the answer for 0.5 s
+            done = master.run(block.text)
+            assert done.returncode == 0, done.stdout
+            return done.stdout.strip()
+        again_if_stalled(answers)
 
 
 @pytest.mark.parametrize('block', PYTHON, ids=lambda block: getattr(block, 'id', 'none'))

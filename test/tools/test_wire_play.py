@@ -56,7 +56,7 @@ def test_a_played_recording_has_the_stamps_of_its_own_board_time(tmp_path):
 
 def played(folder, pieces, last):
     """Play to a link; return its stamps by the number of the frame, and when the last frame was
-    read; None if the link dropped that one."""
+    read; None if the link dropped that one or the one before."""
     line, stamps, read_at = Line(folder / 'near').plug(), {}, []
     link = McuLink(Port(line.near), timeout=60.0, clock=time.monotonic,
                    on_status=lambda message, seq, stamp: stamps.update({message.adc0: stamp}))
@@ -73,4 +73,4 @@ def played(folder, pieces, last):
     link.join(10.0)
     port.close()
     line.unplug()
-    return (stamps, read_at[-1]) if last in stamps else None
+    return (stamps, read_at[-1]) if {last - 1, last} <= set(stamps) else None

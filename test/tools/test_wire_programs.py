@@ -99,6 +99,34 @@ def status(number):
     return mcu.encode(mcu.SensorStatus(number, 500, 30.0, 4.0, 5.0), number % 256)
 
 
+def dropped(program, source):
+    """The number of bytes from this end that `listen` or a tap dropped, as it says."""
+    return sum(map(int, re.findall(rf'{re.escape(source.path)}: (\d+) bytes that waited',
+                                   program.stderr())))
+
+
+def has_effect(program, source, data, effect):
+    """Write data to a port of the program; return whether `effect()` becomes true.
+
+    It does not if the program drops the data, since a stall of this machine made it stale.
+    """
+    before = dropped(program, source)
+    source.write(data)
+    until(lambda: effect() or dropped(program, source) > before, 'the data has an effect')
+    if effect():
+        return True
+    time.sleep(0.2)     # after a loss a tap forwards nothing for 0.1 s, without a report
+    return False
+
+
+def shown(program, board, data, count):
+    """Write data to a port, again if it is dropped, until so many lines are shown; return them."""
+    again_if_stalled(lambda: has_effect(program, board, data,
+                                        lambda: len(program.lines()) >= count))
+    assert len(program.lines()) == count
+    return program.lines()
+
+
 # -- listen ---------------------------------------------------------------------------------------
 
 def test_listen_shows_and_records_every_frame_and_writes_nothing(ttys, start, tmp_path):
@@ -106,8 +134,7 @@ def test_listen_shows_and_records_every_frame_and_writes_nothing(ttys, start, tm
     program = start('listen', 'mcu', board.path, '--raw', 'kept.txt', '--json')
     program.wait_for_line('open')
     stream = status(1) + b'\x11\x22' + status(2) + status(3)[:7]
-    board.write(stream)
-    lines = until(lambda: len(program.lines()) >= 4 and program.lines(), 'four frames')
+    lines = shown(program, board, stream, 4)
     output = [json.loads(line) for line in lines]
     assert [each['frame'] for each in output] == [
         status(1).hex(), '1122', status(2).hex(), status(3)[:7].hex()]
@@ -149,10 +176,8 @@ def test_announced_messages_are_learned_live_and_out_of_recordings(ttys, start, 
     board = ttys[0]
     program = start('listen', 'arduino', board.path, '--raw', 'kept.txt')
     program.wait_for_line('open')
-    board.write(force + b''.join(map(arduino.encode, chunks_of(text, 40))))
-    until(lambda: len(program.lines()) == 4, 'the chunks')
-    board.write(force)
-    lines = until(lambda: len(program.lines()) == 5 and program.lines(), 'a message')
+    shown(program, board, force + b''.join(map(arduino.encode, chunks_of(text, 40))), 4)
+    lines = shown(program, board, force, 5)
     assert 'message type 32 is unknown' in lines[0] and 'announcement 1/3' in lines[1]
     assert lines[4].endswith('force data=12.34')
     assert program.end() == 0
@@ -171,10 +196,8 @@ def test_announced_settings_are_learned_live_and_out_of_recordings(ttys, start, 
     program = start('listen', 'mcu', board.path, '--raw', 'kept.txt')
     program.wait_for_line('open')
     chunk, = chunks_of(text, 60)
-    board.write(setting + mcu.encode(chunk, 2))
-    until(lambda: len(program.lines()) == 2, 'the chunk')
-    board.write(setting)
-    lines = until(lambda: len(program.lines()) == 3 and program.lines(), 'a setting')
+    shown(program, board, setting + mcu.encode(chunk, 2), 2)
+    lines = shown(program, board, setting, 3)
     assert 'setting number=1 [205 204 12 64]' in lines[0]
     assert lines[2].endswith('setting number=1 kp=2.2 1/s')
     assert program.end() == 0
@@ -207,23 +230,6 @@ def test_listen_ends_quietly_when_its_output_is_closed(ttys):
 
 
 # -- tap ------------------------------------------------------------------------------------------
-
-def dropped(program, source):
-    """The number of bytes from this end that a tap dropped, as it says."""
-    return sum(map(int, re.findall(rf'{re.escape(source.path)}: (\d+) bytes that waited',
-                                   program.stderr())))
-
-
-def has_effect(program, source, data, effect):
-    """Write data to one end of a tap; return whether `effect()` becomes true.
-
-    It does not if the tap drops the data, since a stall of this machine made it stale.
-    """
-    before = dropped(program, source)
-    source.write(data)
-    until(lambda: effect() or dropped(program, source) > before, 'the data has an effect')
-    return effect()
-
 
 def pass_on(program, source, target, data, after_loss=False):
     """Write data to one end of a tap, again if it is dropped; check what the other end receives."""
@@ -389,13 +395,20 @@ def test_bytes_that_wait_while_the_tap_is_suspended_are_dropped(tapped, tmp_path
 def test_bytes_that_wait_as_the_tap_starts_are_dropped(ttys, start):
     board, computer = ttys
     # New bytes arrive while it opens, as from socat's buffer, which a flush does not reach.
-    program = start('tap', 'arduino', board.path, computer.path)
-    while program.stderr().count(': open') < 2:
-        computer.write(arduino.encode(arduino.SpeedCommand(500)))
-        while not computer.is_quiet():
-            os.read(computer.fd, 4096)
-        time.sleep(0.01)
-    program.wait_for_line(f'{computer.path}: open')
+
+    def opens():        # while bytes arrive, unless this test stalls meanwhile
+        program = start('tap', 'arduino', board.path, computer.path)
+        while program.stderr().count(': open') < 2:
+            computer.write(arduino.encode(arduino.SpeedCommand(500)))
+            while not computer.is_quiet():
+                os.read(computer.fd, 4096)
+            time.sleep(0.01)
+        if dropped(program, computer):
+            return True
+        program.end()
+        board.read_all(0.3)
+        return False
+    again_if_stalled(opens)
     until(lambda: computer.write(HEARTBEAT) or not board.is_quiet(), 'heartbeats')
     first = board.exactly(len(STOP))
     assert first == STOP
@@ -408,7 +421,8 @@ def test_an_incomplete_frame_does_not_merge_with_the_next(ttys, start, link, wir
     wire = wire or status(1)
     program = start('tap', link, board.path, computer.path)
     program.wait_for_line('open', 2)
-    board.write(wire[:5])
+    again_if_stalled(lambda: has_effect(program, board, wire[:5],
+                                        lambda: not computer.is_quiet()))
     assert computer.exactly(5) == wire[:5]
     suspended_for_long(program, lambda: board.write(wire[5:]))
     until(lambda: board.write(wire) or not computer.is_quiet(), 'frames')
@@ -666,10 +680,12 @@ def test_listen_ends_on_a_full_disk(ttys):
         program = subprocess.Popen(PROGRAM + ['listen', 'mcu', ttys[0].path], stdout=full,
                                    stderr=subprocess.PIPE, text=True)
     assert ': open' in program.stderr.readline()
-    ttys[0].write(status(1))
-    _, said = program.communicate(timeout=PATIENCE)
+    until(lambda: program.poll() is not None, 'it ends',
+          doing=lambda: ttys[0].write(status(1)), every=0.1)
+    said = [line for line in program.stderr.read().splitlines() if 'bytes that waited' not in line]
+    program.stderr.close()
     assert program.returncode == 1
-    assert said == 'wire: its output cannot be written: No space left on device\n'
+    assert said == ['wire: its output cannot be written: No space left on device']
 
 
 def test_a_tap_continues_on_a_full_disk(ttys, start):
@@ -831,8 +847,7 @@ def test_listen_stats_and_play_know_another_board(scale_config, ttys, start, tmp
     program = start('listen', *link, board.path, '--raw', 'kept.txt')
     program.wait_for_line('open')
     stream = load_frame(1) + b'\x11' + load_frame(4)
-    board.write(stream)
-    lines = until(lambda: len(program.lines()) == 3 and program.lines(), 'three lines')
+    lines = shown(program, board, stream, 3)
     assert lines[0].endswith('load 0.1 kg') and lines[2].endswith('load 0.4 kg')
     assert '1 byte outside frames' in lines[1]
     assert program.end() == 0
