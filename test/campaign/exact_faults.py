@@ -7,7 +7,7 @@ import contextlib
 import itertools
 import math
 import time
-from typing import Callable, Dict, Iterable, NamedTuple
+from typing import Callable, Dict, Iterable, NamedTuple, Tuple
 
 import by_definition as codec
 from .boards import HALT, OK, Reaction, Request, reply_frame
@@ -95,11 +95,13 @@ def lent(rig: Rig) -> None:
     stop_last = rig.row("SPEED 0 is the last packet before the car's port is lent")
     required = rig.row('a lent port is left alone, and opened again when the loan ends')
     calls, drive = Calls(rig), Drive(rig)
+    released: Dict[str, Tuple[float, float]] = {}     # when the last call began and ended
 
     def release(seconds: float) -> float:
         began = time.monotonic()
         for link in rig.lines:
             outcome = rig.robot.call(f'{link}/release', 'campaign', seconds)
+            released[link] = outcome.began, outcome.ended
             required.check(outcome.success, f'{link}/release: {outcome}')
         return began + seconds
 
@@ -143,8 +145,10 @@ def lent(rig: Rig) -> None:
             rig.end(holder)
             free_at = time.monotonic()
         required.wait(lambda: rig.car.beats and len(rig.bus.requests) > count, 'they are opened')
-        for began, first in (free_at, check_first(rig)), (ends_at, rig.bus.requests[count]):
-            rig.in_time(required, began, first.t, PORT_RETURN, f'{seconds:g} s', -0.5)
+        rig.in_time(required, free_at, check_first(rig).t, PORT_RETURN, f'{seconds:g} s', -0.5)
+        began, ended = (at + (0.0 if is_given_back else 10.0) for at in released['bus'])
+        rig.in_time(required, ended, rig.bus.requests[count].t, PORT_RETURN, f'{seconds:g} s',
+                    began - ended - 0.5)
         rig.row(SYNC_FIRST).check(rig.bus.requests[count].cmd1 == codec.SYNC, 'not SYNC')
         rig.wait_for_data('mcu/cliff', rig.sensors.cliff, rig.row(PORT_RETURNS))
         for topic in '~counter', 'mcu/adc_status':

@@ -209,8 +209,8 @@ def test_calibration_takes_the_drift_away_and_survives_a_power_cycle(firmware_bu
         car.forget()
         # No IMU data, and no input: not now and not afterwards. The rest goes on.
         car.send(STEERING, struct.pack('<H', 1900))
-        car.next(TICKS, 100)
         car.drive(500)
+        car.next(TICKS, 100)
         car.wait_for_text('IMU calibrated', seconds=10)
         assert board.time - started > 2.9
         texts_at = [index for index, packet in enumerate(car.packets) if packet[0] == INFO][0]
