@@ -13,8 +13,8 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Empty
 
 from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Diagnostics, Rosout,
-                    Topic, again_if_stalled, command_topic, level_imu, service, stamped, until,
-                    values_of)
+                    Topic, again_if_stalled, calibrates, command_topic, level_imu, service, stamped,
+                    until, values_of)
 from serial_communication.framing.announcement import chunks_of
 from serial_communication.link.outcome import Verdict
 from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
@@ -142,7 +142,7 @@ class Calibration(ArduinoTest):
         topic = self.topic('imu/calibrating', Bool)
         self.assertFalse(topic.first().data)         # latched
         again_if_stalled(lambda: self.arrives(self.speed, SpeedPWMCommand(value=200)))
-        until(self.calibrates, 'the board calibrates its IMU', every=0.2)
+        until(calibrates, 'the board calibrates its IMU', every=0.2)
         self.assertEqual(self.sent(3), [bytes.fromhex('0304c80100'), SPEED_0_PACKET,
                                         CALIBRATION_PACKET])
         topic.first(lambda m: m.data)
@@ -166,15 +166,6 @@ class Calibration(ArduinoTest):
               doing=lambda: self.steering.publish(value=1234))
         self.assertEqual(self.sent(4)[3], bytes.fromhex('0405d20400'))
         self.assertEqual(self.board.speeds, [200, 0])
-
-    def calibrates(self):
-        """Whether the service succeeds; it is refused after a stall of this machine."""
-        try:
-            service('/serial_communication/calibrate_imu', Empty)()
-        except rospy.ServiceException as error:
-            self.assertIn('status 253 (not sent)', str(error))
-            return False
-        return True
 
     def test_calibrate_imu_is_a_service_error_if_the_port_is_closed(self):
         def says_that_it_is_closed():       # or that it may have waited during a stall

@@ -19,7 +19,7 @@ import roslib.packages
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
-from std_srvs.srv import Trigger
+from std_srvs.srv import Empty, Trigger
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))),
                                 'helpers'))
@@ -326,6 +326,16 @@ def command_topic(name, message_class):
     topic = rospy.Publisher(name, message_class, queue_size=100, tcp_nodelay=True)
     until(topic.get_num_connections, 'the bridge subscribes to %s' % name)
     return topic
+
+
+def calibrates(node=PACKAGE):
+    """Whether the service succeeds; it is refused after a stall of this machine."""
+    try:
+        service('/%s/calibrate_imu' % node, Empty)()
+    except rospy.ServiceException as error:
+        assert 'status 253 (not sent)' in str(error), error
+        return False
+    return True
 
 
 def until_in_step(node):

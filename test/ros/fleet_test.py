@@ -15,7 +15,8 @@ from tf2_msgs.msg import TFMessage
 
 from boards import (NOT_SENT, Output, PACKAGE, PATIENCE, TIMEOUT, BusBoard, CarBoard, Diagnostics,
                     Line, SensorBoard, Topic, again_if_stalled, command_topic, level_imu,
-                    own_folder, ranges, service, settle, until, wait_for_launch)
+                    own_folder, ranges, service, settle, until, until_in_step,
+                    wait_for_launch)
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand, Ticks,
                                       Voltage)
 from serial_communication.boards.arduino import wire as arduino
@@ -51,9 +52,10 @@ def launch_file(folder, ports):
 NAMES = {1: PACKAGE, 2: PACKAGE, 3: 'bridge'}
 
 
-def answered(call):
+def answered(node, call):
     """Call a bus service; again if the bridge stalled and sent nothing, or dropped the reply."""
     def answer():
+        until_in_step(node)
         response = call()
         return None if response.status in (NOT_SENT, TIMEOUT) else response
     return again_if_stalled(answer)
@@ -131,12 +133,11 @@ class Fleet(unittest.TestCase):
         )
         frames = self.topics('serial_msg', SerialMsg, private=False)
         for _ in range(20):
-            for robot in self.robots:
-                robot.say()
-            until(lambda: all(topic.messages for topic in expected[0][0]), 'something comes')
+            until(lambda: all(topic.messages for topic in expected[0][0]), 'something comes',
+                  every=0.1, doing=lambda: [robot.say() for robot in self.robots])
         for topics, right in expected:
             for robot, topic in zip(self.robots, topics):
-                topic.first()
+                topic.first(doing=robot.say)
                 wrong = [m for m in topic.messages if not right(m, robot.number)]
                 self.assertEqual(wrong[:1], [], topic.name)
         for robot, topic in zip(self.robots, frames):
@@ -160,8 +161,9 @@ class Fleet(unittest.TestCase):
 
     def command(self, robot):
         lift = service(f'/{robot.node}/lift', Lift)
-        self.assertTrue(answered(lambda: lift(0, robot.number)).success)
-        environment = answered(service(f'/{robot.node}/get_environment', GetEnvironment))
+        self.assertTrue(answered(robot.node, lambda: lift(0, robot.number)).success)
+        environment = answered(robot.node,
+                               service(f'/{robot.node}/get_environment', GetEnvironment))
         self.assertEqual(environment.environment.smoke, 100 + robot.number)
         speed = command_topic(f'/{robot.node}/speed', SpeedPWMCommand)
         until(lambda: robot.number in robot.car.speeds, 'the car drives',

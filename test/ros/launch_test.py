@@ -2,6 +2,7 @@
 """bridge.launch: ports on the command line, and simulated boards. fleet_test has its other
 arguments."""
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -14,10 +15,11 @@ import rostest
 import yaml
 from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
 from std_msgs.msg import Bool
-from std_srvs.srv import Empty, Trigger
+from std_srvs.srv import Trigger
 
 from boards import (NOT_SENT, OK, Output, PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, BusBoard,
-                    CarBoard, Diagnostics, Topic, command_topic, service, until, wait_for_launch)
+                    CarBoard, Diagnostics, Topic, again_if_stalled, calibrates, command_topic,
+                    service, until, until_in_step, wait_for_launch)
 from serial_communication.msg import (Environment, McuStatus2, SerialMsg, SpeedPWMCommand,
                                       SteeringFeedback, Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
@@ -115,7 +117,10 @@ class Launch(BoardsTest):
         return self.output.text()
 
     def end(self):
-        """Send Ctrl-C; the bridge then logs no warning, even if its boards end first."""
+        """Send Ctrl-C; the bridge then logs no warning, even if its boards end first.
+
+        (A car is stopped with a warning before, if roslaunch passes Ctrl-C on late.)
+        """
         before = len(self.output_so_far())
         self.process.send_signal(signal.SIGINT)
         status = self.process.wait(PATIENCE)
@@ -123,7 +128,7 @@ class Launch(BoardsTest):
         self.assertEqual(status, 0, text)
         self.assertNotIn('Traceback', text)
         self.assertNotIn('escalating', text)
-        self.assertNotIn('[WARN]', text[before:])
+        self.assertNotIn('[WARN]', re.sub('.*no speed command for.*', '', text[before:]))
         self.assertNotIn('[ERROR]', text[before:])
 
     def plug_two(self):
@@ -145,8 +150,9 @@ class Launch(BoardsTest):
         # The config file is loaded, too.
         self.assertEqual(rospy.get_param('/serial_communication/mcu/max_range'), 2.0)
         self.assertEqual(rospy.get_param('/serial_communication/arduino/heartbeat_rate'), 100.0)
-        command_topic('/serial_communication/speed', SpeedPWMCommand).publish(value=300)
-        until(lambda: 300 in self.car.speeds, 'the car drives')
+        speed = command_topic('/serial_communication/speed', SpeedPWMCommand)
+        until(lambda: 300 in self.car.speeds, 'the car drives', every=0.1,
+              doing=lambda: speed.publish(value=300))
         self.end()
         until(lambda: self.car.raws[-1:] == [SPEED_0_PACKET], 'SPEED 0 is the last packet')
 
@@ -170,19 +176,22 @@ class Launch(BoardsTest):
             topic.first()
         for link in 'bus', 'arduino', 'mcu':
             topics[0].first(lambda m, name=link: m.link == name, what='carries frames of ' + link)
-        answers = [service('/serial_communication/lift', Lift)(0, 100),
-                   service('/serial_communication/gimbal', Gimbal)(0, 30),
-                   service('/serial_communication/get_environment', GetEnvironment)()]
-        for answer in answers:
-            self.assertTrue(answer.success, answer.message)
+        for name, kind, arguments in (('lift', Lift, (0, 100)), ('gimbal', Gimbal, (0, 30)),
+                                      ('get_environment', GetEnvironment, ()),
+                                      ('bus/echo', Trigger, ())):
+            call = service('/serial_communication/' + name, kind)
+
+            def succeeds(call=call, arguments=arguments):
+                until_in_step(PACKAGE)
+                return call(*arguments).success
+            again_if_stalled(succeeds)
         self.assertEqual(service('/serial_communication/lift', Lift)(2, 100).status, NOT_SENT)
-        self.assertTrue(service('/serial_communication/bus/echo', Trigger)().success)
         port = rospy.get_param('/serial_communication/mcu/port')
         self.assertTrue(port.startswith('/tmp/serial_communication-'), port)
         found = Diagnostics().wait_for_all(('bus', 'arduino', 'mcu'),
                                            lambda s, _link: s.level == OK, 'OK')
         self.assertEqual(found['mcu'].hardware_id, port)
-        service('/serial_communication/calibrate_imu', Empty)()
+        until(calibrates, 'the board calibrates', every=0.1)
         topics[3].first(lambda m: m.data)
         self.end()
         until(lambda: not os.path.exists(os.path.dirname(port)), 'the folder is removed')

@@ -12,8 +12,8 @@ import rostest
 from std_srvs.srv import Empty, Trigger
 
 from boards import (ERROR, NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, WARN, BoardsTest, Bridge,
-                    BusBoard, CarBoard, Diagnostics, Line, again_if_stalled, own_folder, program,
-                    service, until, until_in_step)
+                    BusBoard, CarBoard, Diagnostics, Line, own_folder, program, service, until,
+                    until_in_step)
 from serial_communication.boards.arduino.wire import Ticks
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Lift, Release
@@ -107,6 +107,13 @@ class LendingTest(BoardsTest):
         until(lambda: self.board.heartbeats() > 3, 'heartbeats', seconds)
         self.assertEqual(bytes(self.board.wire).lstrip(b'\0')[:5], SPEED_0_PACKET)
 
+    @staticmethod
+    def lend(by, seconds, link='/%s/arduino' % PACKAGE):
+        """Borrow a port with the service, which refuses after a stall of this machine."""
+        release = service(link + '/release', Release)
+        return until(lambda: next((a for a in [release(by, seconds)] if a.success), None),
+                     'the port is lent', every=0.1)
+
     def check_state(self, level, words):
         self.diagnostics.fresh('arduino', lambda status: status.level == level
                                and words in status.message, words)
@@ -115,8 +122,7 @@ class LendingTest(BoardsTest):
 
     def test_the_service_lends_and_takes_back(self):
         release = service('/%s/arduino/release' % PACKAGE, Release)
-        answer = release('arduino-cli', 10.0)
-        self.assertEqual((answer.success, answer.message), (True, 'lent to arduino-cli for 10 s'))
+        self.assertEqual(self.lend('arduino-cli', 10.0).message, 'lent to arduino-cli for 10 s')
         self.check_lent()
         self.diagnostics.fresh('arduino', lambda status: status[:2] == (
             WARN, 'lent to arduino-cli'), 'lent')
@@ -127,7 +133,7 @@ class LendingTest(BoardsTest):
             except rospy.ServiceException as error:
                 self.assertIn('status 253', str(error))
                 return 'lent to arduino-cli' in str(error)      # not a stall
-        again_if_stalled(refused)
+        until(refused, 'it says why', every=0.1)
         self.assertFalse(release('minicom', 5.0).success)
         self.assertEqual(bytes(self.board.wire), b'')
         self.assertTrue(release('arduino-cli', 0.0).success)
@@ -148,7 +154,7 @@ class LendingTest(BoardsTest):
         board = self.plug('bus', BusBoard)
         self.start_bridge('bus_bridge', {'bus/port': self.lines['bus'].near})
         until_in_step('bus_bridge')
-        self.assertTrue(service('/bus_bridge/bus/release', Release)('me', 10.0).success)
+        self.lend('me', 10.0, '/bus_bridge/bus')
         board.forget()
         answer = service('/bus_bridge/lift', Lift)(0, 100)
         self.assertEqual((answer.success, answer.status), (False, NOT_SENT))
@@ -213,7 +219,7 @@ class LendingTest(BoardsTest):
                                   timeout=PATIENCE)
             self.assertEqual(done.returncode, status, done.stdout)
             self.assertIn(words, ' '.join(done.stdout.split()))
-        self.assertTrue(service('/%s/arduino/release' % PACKAGE, Release)('me', 60.0).success)
+        self.lend('me', 60.0)
         self.assertIn('the port is lent to me', self.ends(self.program('true'), 125))
         self.assertTrue(service('/%s/arduino/release' % PACKAGE, Release)('me', 0.0).success)
 
@@ -239,7 +245,7 @@ class LendingTest(BoardsTest):
     def test_kill_while_the_port_is_given_back(self):
         """Right after the end of the command."""
         for victim in self.kill_release, self.kill_bridge:
-            process = self.borrow(0.5)
+            process = self.borrow(2.0)
             until(lambda process=process: not self.children_of(process), 'the command ends',
                   every=0.0005)
             self.check_victim(victim, process)

@@ -94,21 +94,24 @@ class SettingsTest(unittest.TestCase):
 
     def setUp(self):
         self.car.hears = True
-        for number in self.car.values:
-            self.car.report(number)
-        self.configuration(lambda values: values.ramp == 250 and values.kp == self.car.values[1])
+        self.until_published(
+            lambda values: values.ramp == 250 and values.kp == self.car.values[1], *self.car.values)
         self.car.forget()
 
-    def configuration(self, is_right):
-        """Wait for these values to be published; return them."""
-        until(lambda: is_right(self.client.get_configuration(timeout=1.0)), 'these values')
-        return self.client.get_configuration()
+    def until_published(self, are_right, *reported):
+        """Wait for right values; the car reports these numbers until then, since a stall of this
+        machine drops what it sends."""
+        def published():
+            values = self.client.get_configuration(timeout=1.0)
+            return values and are_right(values)
+        until(published, 'these values', every=0.1,
+              doing=lambda: [self.car.report(number) for number in reported])
 
     def keys(self):
         return self.diagnostics.fresh('arduino', lambda status: True, 'a status').keys
 
     def test_a_parameter_is_the_wanted_value_at_the_start(self):
-        self.assertEqual(self.car.values[2], 250)
+        until(lambda: self.car.values[2] == 250, 'it is in use')
 
     def test_the_rows_are_shown_with_limits_unit_and_description(self):
         shown = {each['name']: each for each in self.client.get_parameter_descriptions()}
@@ -139,7 +142,7 @@ class SettingsTest(unittest.TestCase):
 
     def test_a_refused_value_makes_nothing_wanted(self):
         rate = self.car.values[4]
-        self.configuration(lambda values: values.rate == rate)
+        self.until_published(lambda values: values.rate == rate)
         self.assertEqual(self.client.update_configuration({'rate': math.nan}).rate, rate)
         self.rosout.wait_for(PACKAGE, 'the setting rate cannot be nan')
         before = self.car.values[3]
@@ -164,15 +167,15 @@ class SettingsTest(unittest.TestCase):
 
     def test_a_board_that_starts_again_gets_its_values_back(self):
         self.client.update_configuration({'kp': 3.5})
+        self.diagnostics.fresh('arduino', lambda status: status.keys[
+            'settings unconfirmed'] == '', 'it is confirmed')
         self.car.start_again()
-        self.car.report(3)
-        self.car.report(1)
-        until(lambda: (self.car.values[1], self.car.values[2]) == (3.5, 250), 'both are back')
+        until(lambda: (self.car.values[1], self.car.values[2]) == (3.5, 250), 'both are back',
+              every=0.1, doing=lambda: (self.car.report(3), self.car.report(1)))
 
     def test_a_change_by_the_board_is_shown_where_nothing_is_wanted(self):
         self.car.values[4] = 9
-        self.car.report(4)
-        self.configuration(lambda values: values.rate == 9)
+        self.until_published(lambda values: values.rate == 9, 4)
         self.assertNotIn(4, [number for number, _ in self.car.settings()])
 
     def test_dynparam(self):
@@ -195,8 +198,8 @@ class SettingsTest(unittest.TestCase):
         self.rosout.wait_for(PACKAGE, 'announces gain', doing=lambda: announce(GAIN))
         until(lambda: 'gain' in self.client.get_configuration() and 'gain' in [
             each['name'] for each in self.client.get_parameter_descriptions()], 'gain comes')
-        self.car.write(wire.encode_raw(253, b'\7\4'))
-        self.configuration(lambda values: values.gain == 4)
+        until(lambda: self.client.get_configuration().gain == 4, 'its value', every=0.1,
+              doing=lambda: self.car.write(wire.encode_raw(253, b'\7\4')))
         self.assertEqual(self.client.update_configuration({'gain': 8}).gain, 8)
         self.assertIn((7, (8,)), self.car.settings())
         self.rosout.forget()

@@ -14,8 +14,8 @@ from sensor_msgs.msg import Imu, MagneticField, Range, Temperature
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
-from boards import (PACKAGE, TIMEOUT, BusBoard, CarBoard, Rosout, SensorBoard, Topic, command_topic,
-                    level_imu, ranges, service, settle, until)
+from boards import (PACKAGE, TIMEOUT, BusBoard, CarBoard, Rosout, SensorBoard, Topic,
+                    again_if_stalled, command_topic, level_imu, ranges, service, settle, until)
 from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand, SteeringFeedback,
                                       Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
@@ -46,17 +46,26 @@ class SimulatedTime(unittest.TestCase):
         CAR.wait_for_heartbeat_rate(40, 130)
 
     def test_a_speed_that_is_not_renewed_ends_in_speed_0(self):
+        speed = command_topic('/serial_communication/speed', SpeedPWMCommand)
         CAR.forget()
-        command_topic('/serial_communication/speed', SpeedPWMCommand).publish(value=300)
-        until(lambda: CAR.speeds == [300, 0], 'SPEED 0')
+        until(lambda: 300 in CAR.speeds, 'it drives', every=0.1,
+              doing=lambda: speed.publish(value=300))
+        until(lambda: CAR.speeds[-1] == 0, 'SPEED 0')
 
     def test_services_answer_and_time_out(self):
         lift = service('/serial_communication/lift', Lift)
-        self.assertTrue(lift(0, 100).success)
-        self.assertTrue(service('/serial_communication/get_environment',
-                                GetEnvironment)().success)
-        BUS.script.append(b'')
-        self.assertEqual(lift(0, 100).status, TIMEOUT)
+        environment = service('/serial_communication/get_environment', GetEnvironment)
+
+        def both_answer():
+            settle(PACKAGE, BUS)
+            return lift(0, 100).success and environment().success
+
+        def times_out():
+            settle(PACKAGE, BUS)
+            BUS.script.append(b'')
+            return lift(0, 100).status == TIMEOUT
+        again_if_stalled(both_answer)
+        again_if_stalled(times_out)
         until(lambda: service('/serial_communication/bus/echo', Trigger)().success, 'an echo')
 
     def test_readings_of_the_air_are_polled_and_published(self):

@@ -188,6 +188,9 @@ class WireTest(unittest.TestCase):
             desk.settle()
             if any(desk.diagnostics.statuses(link)[-1].keys['stale'] != '0' for link in FAULTS):
                 return False
+            # Two copies of a frame with a stall between them are two frames.
+            if desk.errors()['mcu']['frames doubled'] != self.errors['mcu']['frames doubled']:
+                return False
             for link in FAULTS:     # no noise, and no frame with a wrong checksum
                 for key in 'checksum errors', 'framing errors':
                     self.assertEqual(desk.errors()[link][key], '0', (link, key))
