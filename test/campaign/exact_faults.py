@@ -137,7 +137,7 @@ def lent(rig: Rig) -> None:
         if is_given_back:
             rig.sleep(renewed_at + _FIRST_LOAN - time.monotonic())
             rig.diagnosed('arduino', 1, 'lent to campaign')
-            ends_at = free_at = release(0.0)
+            free_at = release(0.0)
         else:               # the program that borrowed the car's port ends late
             holder = rig.child('holder', ['sh', '-c', f'exec sleep 60 < {rig.car_line.port}'])
             rig.sleep(ends_at + PORT_RETURN - time.monotonic())

@@ -77,7 +77,7 @@ def test_a_sonar_sends_the_time_of_a_pulse_with_the_pulse(firmware_build):
                 ages.extend(end.board.time - began - struct.unpack('<I', data[:4])[0] / 1e6
                             for data in times[-1:])
                 return len(ages) >= 10
-            end.board.wait_until(told, 10)
+            end.board.wait_until(told, 3)
             return min(ages) < 0.03     # a pulse comes each 0.05 s
         again_if_stalled(is_soon)
 

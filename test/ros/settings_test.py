@@ -111,7 +111,7 @@ class SettingsTest(unittest.TestCase):
         return self.diagnostics.fresh('arduino', lambda status: True, 'a status').keys
 
     def test_a_parameter_is_the_wanted_value_at_the_start(self):
-        until(lambda: self.car.values[2] == 250, 'it is in use')
+        self.assertEqual(self.car.values[2], 250)
 
     def test_the_rows_are_shown_with_limits_unit_and_description(self):
         shown = {each['name']: each for each in self.client.get_parameter_descriptions()}

@@ -50,7 +50,7 @@ class SimulatedTime(unittest.TestCase):
         CAR.forget()
         until(lambda: 300 in CAR.speeds, 'it drives', every=0.1,
               doing=lambda: speed.publish(value=300))
-        until(lambda: CAR.speeds[-1] == 0, 'SPEED 0')
+        until(lambda: CAR.speeds[-2:] == [300, 0], 'SPEED 0')
 
     def test_services_answer_and_time_out(self):
         lift = service('/serial_communication/lift', Lift)
