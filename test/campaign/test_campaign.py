@@ -408,26 +408,3 @@ def test_a_broken_bridge_that_no_longer_applies_is_an_error():
         each = broken.Broken('it', '', 'storm', '', [('link/link.py', old, '')])
         with pytest.raises(ValueError, match='times in link/link.py'):
             each.files()
-
-
-@pytest.mark.parametrize('lost, silence, faults', [(3, 0.3, 0), (3, 0.1, 1), (2, 0.3, 1)])
-def test_fence_after_lost_echoes(line, lost, silence, faults):
-    """After three lost ECHOs, SYNC and a silence are the fence of a call."""
-    bus, found = bus_board(line)
-    bus.write(reply_frame(codec.ECHO))
-    bus.probe = lambda request: Reaction() if request.cmd1 == codec.ECHO else None
-    for number in range(lost):
-        bus.read(codec.bus_frame(b'\1\0', bytes((number,)) * 4), 1.0)
-    bus.read(codec.bus_frame(bytes((codec.SYNC, 0)), b''), 2.0)
-    bus.read(codec.bus_frame(b'\x55\x60', b''), bus.written_at + silence)
-    assert len(found) == faults
-
-
-@pytest.mark.parametrize('silence, faults', [(0.02, 0), (0.01, 1)])
-def test_fence_of_a_board_that_never_echoes(line, silence, faults):
-    bus, found = bus_board(line)
-    bus.lost_echoes = 3
-    for request in b'\x55\x60', b'\x55\x61':
-        found.clear()
-        bus.read(codec.bus_frame(request, b''), bus.written_at + silence)
-    assert len(found) == faults

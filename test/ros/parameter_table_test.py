@@ -76,6 +76,7 @@ class ParameterTable(unittest.TestCase):
     def test_the_defaults_of_the_contract(self):
         for name, value in (('bus/environment_period', 1.0), ('arduino/heartbeat_rate', 100.0),
                             ('bus/environment_datelen', 2), ('bus/reply_has_cmd2', False),
+                            ('bus/echo', True),
                             ('bus/reply_timeout', 0.5), ('bus/motion_timeout', 5.0),
                             ('bus/retries', 2), ('arduino/speed_timeout', 0.5),
                             ('arduino/check_plausibility', True), ('mcu/timeout', 1.0),
