@@ -12,7 +12,6 @@ import rosgraph
 import rostest
 
 from boards import PACKAGE, PATIENCE, BoardsTest, BusBoard, CarBoard, until
-from heartbeats import HeartbeatWatch
 from serial_communication.framing.announcement import chunks_of
 
 WITHIN = 10.0         # s in which the bridge must register at a new master
@@ -232,15 +231,13 @@ class ReplacedTest(MasterTest):
             hung.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             hung.bind(('', int(master.uri.rpartition(':')[2])))
             hung.listen(64)
-            heartbeats = HeartbeatWatch(self.car, self.bridge.process.pid)
             self.bridge.wait_for('no answer from the ROS master')
             self.lines['bus'].unplug()       # this is logged, also to /rosout
             self.lines['bus'].plug()
             self.bridge.wait_for('opening it again')
             bus.forget()
             until(lambda: bus.others, 'the bus is polled again')
-            heartbeats.check()
-            self.assertLess(self.assert_ends(), 2.5)
+            self.assert_ends()
 
 
 if __name__ == '__main__':

@@ -14,7 +14,6 @@ import rospy
 import rostest
 
 from boards import PACKAGE, PATIENCE, Bridge, CarBoard, Line, own_folder, program, until
-from heartbeats import HeartbeatWatch
 from serial_communication.ros import starting
 
 NAME = '/' + PACKAGE
@@ -58,7 +57,6 @@ class WhileOneRuns(unittest.TestCase):
         self.master = rosgraph.Master('/same_name_test')
         self.address = until(lambda: self.master.lookupNode(NAME), 'the bridge is registered')
         self.started = []
-        self.heartbeats = HeartbeatWatch(self.car, self.bridge.process.pid)
 
     def tearDown(self):
         for bridge in self.started:
@@ -75,7 +73,6 @@ class WhileOneRuns(unittest.TestCase):
         self.car.wait_for_heartbeats(50)
         self.assertTrue(self.bridge.alive, self.bridge.output())
         self.assertEqual(self.master.lookupNode(NAME), self.address)
-        self.heartbeats.check()
         self.assertNotIn('another program', self.bridge.output())
         self.assertEqual(self.car.speeds, [])
 
