@@ -39,7 +39,8 @@ def problems(root: Path) -> List[str]:
 
 def _boards(root: Path) -> Iterator[str]:
     launch = root / 'launch' / 'bridge.launch'
-    given = {tag.get('name'): tag.get('value') for tag in ElementTree.parse(launch).iter('arg')}
+    given = [(tag.get('name'), tag.get('value'))
+             for tag in ElementTree.parse(launch).iter('arg')]
     configured = yaml.safe_load((root / 'config' / 'bridge.yaml').read_text())
     folder = root / 'serial_communication' / 'boards'
     for name in sorted(path.parent.name for path in folder.glob('*/__init__.py')):
@@ -48,10 +49,10 @@ def _boards(root: Path) -> Iterator[str]:
     for name in BOARDS:
         yield from (f'boards/{name}/{file}: there is no such file' for file in FILES
                     if not (folder / name / file).exists())
-        if f'{name}_port' not in given:
+        if f'{name}_port' not in dict(given):
             yield f'launch/bridge.launch: there is no argument {name}_port'
-        if name not in (given['boards'] or '').split():
-            yield f'launch/bridge.launch: the argument boards has no {name}'
+        if ('board', name) not in given:
+            yield f'launch/bridge.launch: no link has the board {name}'
         if configured.get(name, {}).get('baud') != description(name).baud:
             yield f'config/bridge.yaml: {name} has not the rate of its description'
         yield from _types(root, description(name))

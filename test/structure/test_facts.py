@@ -69,8 +69,9 @@ BOARD = [
      'config/bridge.yaml: sonar has not the rate of its description'),
     (LAUNCH, '  <arg name="publish_tf"', '  <arg name="sonar_port" default="as configured"/>\n'
      '  <arg name="publish_tf"', f'{LAUNCH}: there is no argument sonar_port'),
-    (LAUNCH, 'value="bus arduino mcu"', 'value="bus arduino mcu sonar"',
-     f'{LAUNCH}: the argument boards has no sonar'),
+    (LAUNCH, '  <include', '  <include file="$(arg link)" pass_all_args="true">\n'
+     '    <arg name="board" value="sonar"/>\n  </include>\n  <include',
+     f'{LAUNCH}: no link has the board sonar'),
     *((f'{BOARDS}sonar/{name}', '', (ROOT / BOARDS / 'mcu' / name).read_text().replace(
         "'mcu'", "'sonar'").replace("'mcu/", "'sonar/"), said) for name, said in SONAR.items())]
 # Each change, and the places that are left out of it, by number: none, those alone that others
