@@ -45,7 +45,8 @@ def test_no_build_of_the_firmware_is_installed(share):
 
 def test_the_page_names_the_packages_of_debian():
     table = (ROOT / 'scripts' / 'environment.bash').read_text()
-    wanted = [name for row in re.findall(r'^(?:run|panel) +\|([^|]*)\|', table, re.MULTILINE)
+    wanted = [name.partition('=')[0]
+              for row in re.findall(r'^(?:run|panel) +(.*)$', table, re.MULTILINE)
               for name in row.split()]
     page = (ROOT / 'doc' / 'install.md').read_text()
-    assert re.search(r'^sudo apt install (.*)$', page, re.MULTILINE).group(1).split() == wanted
+    assert re.search(r'^sudo apt install --no-install-recommends (.*)$', page, re.MULTILINE).group(1).split() == wanted
