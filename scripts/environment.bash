@@ -136,7 +136,7 @@ install() {
         as_root=(sudo)
     fi
     as_root+=(env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o DPkg::Lock::Timeout=300)
-    say "Installing $# missing packages and what they depend on: two to four minutes, once ..."
+    say "Installing packages: $*. Two to four minutes, once ..."
     "${as_root[@]}" update || true      # without a network, apt may have them in its cache
     for package; do
         if apt-cache show "$package" &>/dev/null; then
@@ -182,7 +182,7 @@ build_if_changed() {
 build_inputs() {
     (
         cd "$checkout" || exit
-        printf '%s\n' "$checkout" "$(readlink -f /usr/bin/python3)" "${ROS_ROOT:-}"
+        printf '%s\n' "$checkout" "$(readlink -f /usr/bin/python3)" "${CMAKE_PREFIX_PATH:-}"
         sha256sum CMakeLists.txt package.xml setup.py msg/* srv/*
     ) | sha256sum
 }

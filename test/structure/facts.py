@@ -111,14 +111,14 @@ def _header(root: Path, name: str) -> str:
 
 def _constants(root: Path, header: str, after: str, name: str) -> Set[int]:
     """The numbers of the constants in a header of the firmware."""
-    text = re.split(after, _header(root, header), 1)[-1].partition('};')[0] if after else \
+    text = re.split(after, _header(root, header), maxsplit=1)[-1].partition('};')[0] if after else \
         _header(root, header)
     return {int(number, 0) for number in re.findall(rf'\b{name} = (0x\w+|\d+)[,;]', text)}
 
 
 def _rows(root: Path, chapter: str) -> Set[int]:
     """The numbers with which rows of the tables in a chapter begin."""
-    page = re.split(r'^## ', (root / _PAGE).read_text(), 0, re.MULTILINE)
+    page = re.split(r'^## ', (root / _PAGE).read_text(), flags=re.MULTILINE)
     section = next((each for each in page if each.startswith(chapter)), '')
     return {int(number, 0) for number in re.findall(r'^\| (0x\w+|\d+) ', section, re.MULTILINE)}
 
