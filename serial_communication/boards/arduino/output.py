@@ -161,6 +161,8 @@ class CarOutput:
             now = clock()       # read with the lock held: the bridge may stall while it waits
             self._check_for_stall(now)
             self.motor.awake(now)
+            if not self._port.is_open:
+                self._watch.restart(now)     # any thread may be the first to write when it opens
             if self._has_ended or not self._port.is_open:
                 return False
             try:
@@ -202,11 +204,11 @@ class CarOutput:
             self._stop()
         self._let_it_leave()
 
-    def let_go(self, why: str) -> None:
+    def let_go(self, why: str, resets: bool = False) -> None:
         """Send SPEED 0, and nothing after it until the port is opened again; Refused while the
-        board calibrates."""
+        board calibrates, unless it is reset then."""
         with self.lock:
-            if self.calibration is not None:
+            if self.calibration is not None and not resets:
                 raise Refused(f'not now: {_CALIBRATES}', 'calibrating')
             self._drop_backlog_if_blocked(clock(), _LONGEST_WAIT_AT_END)
             self._stop()

@@ -22,7 +22,7 @@ class Uart(Port):
     16 writes at most. With `flushes` False it cannot drop what waits.
     """
 
-    is_open = property(lambda self: True)
+    is_open = True
 
     def __init__(self, baud=115200, usb=False, flushes=True):
         super().__init__('/dev/null', baud)
@@ -162,6 +162,18 @@ def test_a_port_that_is_faster_than_its_baud_rate_stands_as_soon(start):
     link.port.stands = True
     run(link, 0.6)
     assert link.port.dropped
+
+
+def test_a_port_that_was_away_takes_all_commands_when_it_is_open_again(start):
+    link = start(usb=True)
+    run(link, 1.0, lambda: link.set_speed(300), 0.05)
+    link.port.is_open = False
+    link.output.closed()
+    run(link, 60.0)
+    link.port.is_open = True
+    link.set_speed(300)     # before the next heartbeat
+    assert run(link, 1.0, lambda: link.set_speed(300), 0.05) == 0
+    assert link.port.dropped == []
 
 
 @pytest.mark.stalls
