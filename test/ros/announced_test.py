@@ -384,8 +384,7 @@ class SameNameTest(BoardsTest):
         until(lambda: 'announces force' in bridge.output(), 'the other row is used',
               doing=lambda: [sensors.say(chunk) for chunk in chunks], every=0.1)
         self.assertEqual(bridge.output().count(
-            'the announced row get_loggers is left out: /mcu/get_loggers cannot be a '
-            'std_msgs/UInt16: this node already uses the name for a roscpp/GetLoggers'), 1)
+            "mcu/announced/get_loggers is 'get_loggers' (str), has the name of ~get_loggers"), 1)
         self.assertEqual(bridge.end()[1], 0, bridge.output())
 
 

@@ -28,7 +28,8 @@ def run(folder, text):
     set_up = 'set -euo pipefail; . scripts/environment.bash; '
     return subprocess.run(['/bin/bash', '-c', set_up + text, 'demo'], cwd=folder, timeout=60,
                           stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          text=True, env={**os.environ, 'PATH': f'{folder}/bin:{os.environ["PATH"]}'})
+                          text=True,
+                          env={**os.environ, 'PATH': f'{folder}/bin:{os.environ["PATH"]}'})
 
 
 @pytest.mark.parametrize('distro, names', [

@@ -56,7 +56,7 @@ class ArduinoLink(Link):
         self.output = CarOutput(self, settings.speed_timeout, settings.calibration_timeout)
         self.heartbeat = HeartbeatThread(
             'arduino heartbeat', settings.heartbeat_rate, self.output.send_what_is_due,
-            lambda text: self.output.warn('fault', text))
+            lambda text: self.log.warn('fault', text))
         self.lending.let_go = self.output.let_go
         self.lending.was_reset = lambda: self._end_calibration(End.RESET)
         self._on_message = on_message
@@ -207,8 +207,6 @@ class ArduinoLink(Link):
                           'it talks')
 
     def idle(self, now: float) -> Optional[float]:
-        while self.output.warnings:
-            self.log.warn(*self.output.warnings.popleft())
         if self.output.calibration:
             self._end_calibration(self.output.calibration.check_timeout(clock()))
         return None

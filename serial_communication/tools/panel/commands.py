@@ -21,7 +21,6 @@ from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
 from ...link.outcome import Verdict
 from ...ros.answers import outcome_fields
 from ...ros.latest_worker import LatestWorker
-from ...ros.rospy_mends.connections import header_of, reaches
 from ...ros.settings import request_of, value_in
 from ..watch.calls import MOST_WAIT, Answer, call
 from ..watch.state import BridgeState
@@ -282,7 +281,7 @@ class Commands:
 
     def _on_speed(self, command: Any) -> None:
         """Receive a speed, also one of this panel. Runs in rospy's thread."""
-        name = header_of(command)['callerid']
+        name = command._connection_header['callerid']
         if name != rospy.get_name():
             self._add_callback(self._foreign_speed, name, command.value)
 
@@ -355,8 +354,8 @@ class Commands:
 
     def _publisher(self, name: str) -> rospy.Publisher:
         publisher = self._publishers.get(name) if self._wanted else None
-        # Of all subscribers only the bridge counts; this panel itself is one of ~speed.
-        if publisher is None or not reaches(publisher, self._node):
+        # Of all subscribers only the bridge counts.
+        if publisher is None or not publisher.impl.has_connection(self._node):
             raise CommandRefused(f'the bridge does not subscribe to {name}: it does not run, '
                                  'or that link is off')
         return publisher
