@@ -7,18 +7,17 @@ import sys
 import time
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, Iterator, List, Type
+from typing import Any, Iterator, Type
 
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
 from serial_communication.srv import Release, ReleaseResponse
 
-from ..boards import BOARDS, description, reason
+from ..boards import BOARDS, reason
 from ..framing.layout import readable
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
-from ..link.unknown_bytes import OtherBoard
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import parameters, starting
@@ -172,13 +171,6 @@ def _errors_naming(board: Type[Interface]) -> Iterator[None]:
                              f'{reason(error)}') from None
 
 
-def _recognisable(p: dict, given: dict) -> List[OtherBoard]:
-    """The boards whose frames a link recognises on the wrong port."""
-    return [OtherBoard(board.name, partial(board.decoder, False, given.get(board.name) or {}),
-                       bool(p[f'{board.name}/port']))
-            for board in map(description, (*BOARDS, *given.get('boards', ())))]
-
-
 def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
     """Return the time so many seconds before `stamp`; ROS has none before 0."""
     nanoseconds = stamp.secs * 1_000_000_000 + stamp.nsecs - int(seconds * 1e9)
@@ -203,8 +195,7 @@ class Bridge:
     """
 
     def __init__(self, p: dict, given: dict) -> None:
-        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER,
-                                   _recognisable(p, given), _earlier)
+        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER, _earlier)
         boards = [(board, values) for board, values in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
         self._interfaces, self._links = [], []

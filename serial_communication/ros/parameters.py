@@ -2,7 +2,6 @@
 
 config/bridge.yaml documents them for users; a test compares the two.
 """
-import difflib
 import xmlrpc.client
 from typing import Any, Dict, List, Tuple, Type
 
@@ -75,7 +74,7 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
         if parameter.parse is not_empty:
             values[name] = values['frame_prefix'] + values[name]
     _check_together(interfaces, values, namespace)
-    return values, [_unknown(namespace, name, flat[name], parameters)
+    return values, [readable(f'parameter {namespace}/{name} is unknown and has no effect')
                     for name in sorted(flat)]
 
 
@@ -160,25 +159,3 @@ def _flatten(given: Dict[str, Any], groups: Any, namespace: str) -> Dict[str, An
 
 def _not_a_group(name: str, value: Any) -> ParameterError:
     return ParameterError(f'parameter {name} is {brief(value, 120)}, may be a group of parameters')
-
-
-def _unknown(namespace: str, name: str, value: Any, parameters: Parameters) -> str:
-    near = difflib.get_close_matches(name, parameters, 1)
-    places = _places_of_row(name, value)
-    meant = f'; this row belongs under {" or ".join(places)}' if places else \
-        f'; did you mean {near[0]}?' if near else ''
-    return readable(f'parameter {namespace}/{name} is unknown and has no effect{meant}')
-
-
-def _places_of_row(name: str, value: Any) -> List[str]:
-    """The parameters of boards that could have this one as a row."""
-    group, _, row = name.rpartition('/')
-    found = []
-    for board in map(description, BOARDS):
-        if board.custom and isinstance(value, dict) and group in ('', board.name):
-            try:
-                board.custom.read({row: value})
-            except RowError:
-                continue
-            found.append(f'{board.name}/{board.custom.parameter}')
-    return found

@@ -278,20 +278,6 @@ class Lines(unittest.TestCase):
         _values, (warning,) = check({'pub\nlish_tf': True}, '/node')
         self.assertIn('/node/pub\ufffdlish_tf is unknown', warning)
 
-    def test_a_row_outside_its_group_is_unknown_with_the_place_where_it_belongs(self):
-        message = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data']}
-        function = {'cmd2': 48, 'srv_type': 'std_srvs/Trigger'}
-        for given, said in (
-                ({'force': message}, 'force is unknown and has no effect; this row belongs under '
-                                     'arduino/messages or mcu/messages'),
-                ({'mcu': {'force': message}}, 'this row belongs under mcu/messages'),
-                ({'pump': function}, 'this row belongs under bus/functions'),
-                ({'force': {'type': 32}}, 'force is unknown and has no effect'),
-                ({'force': 32}, 'force is unknown and has no effect')):
-            with self.subTest(given=given):
-                _values, (warning,) = check(given, '/node')
-                self.assertTrue(warning.endswith(said), warning)
-
     def test_two_links_with_the_same_port_are_refused(self):
         with tempfile.TemporaryDirectory() as folder:
             link = os.path.join(folder, 'by-id')

@@ -143,13 +143,11 @@ class Names(unittest.TestCase):
         self.assertTrue(self.bridge.alive)
         self.assert_ends()
 
-    def test_an_unknown_name_is_a_warning_with_a_suggestion(self):
-        self.start('bus', 'arduino', 'mcu', mcu__timeuot=3.0, publish_ft=True, mcu__colour='red')
-        for name, words in (('mcu/timeuot', 'did you mean mcu/timeout?'),
-                            ('publish_ft', 'did you mean publish_tf?'), ('mcu/colour', '')):
+    def test_an_unknown_name_is_a_warning(self):
+        self.start('bus', 'arduino', 'mcu', mcu__timeuot=3.0, publish_ft=True)
+        for name in 'mcu/timeuot', 'publish_ft':
             line = self.bridge.wait_for('parameter /bridge/%s is unknown' % name)
             self.assertIn('WARN', line)
-            self.assertIn(words, line)
         self.assert_interface('bus', 'arduino', 'mcu')
         self.assert_ends()
 
