@@ -15,7 +15,7 @@ import serial
 from .open_port import OpenPort, open_port
 from .pace import clock
 from .port_errors import PortBusy, PortError, explain
-from .urls import NETWORK, check_device, read_url
+from .urls import NETWORK, read_url
 
 _STALLED = 0.1     # s of wire time; with a longer backlog a tty counts as held when it closes
 
@@ -69,7 +69,6 @@ class Port:
             try:
                 port = serial.serial_for_url(self.url, do_not_open=True)
                 self._refuse_while_lent(port.port or '')
-                check_device(port.port)
                 port.baudrate = self.baud
                 opened = open_port(port, self._scheme, self._wake_read, self._reset_on_open)
             except (OSError, ValueError, termios.error) as error:

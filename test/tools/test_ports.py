@@ -339,15 +339,12 @@ def test_what_makes_a_port_slow_or_stolen_has_its_remedy(tmp_path, monkeypatch):
     timer.write_text('16\n')
     assert f'16 ms, unless the program that opens the port may change that: echo 1 | sudo tee ' \
         f'{timer}' in advice.of_port('/dev/ttyUSB0')[0]
-    monkeypatch.setattr(advice, 'may_have_priority', lambda: True)
     assert advice.of_computer() == []
     (tmp_path / 'comm1').write_text('ModemManager\n')
     (tmp_path / 'comm2').write_text('brltty\n')
-    monkeypatch.setattr(advice, 'may_have_priority', lambda: False)
-    modems, braille, priority = advice.of_computer()
+    modems, braille = advice.of_computer()
     assert 'sudo systemctl disable --now ModemManager' in modems
     assert 'sudo apt-get remove brltty' in braille
-    assert "echo '@dialout - rtprio 20' | sudo tee /etc/security/limits.d/" in priority
 
 
 @pytest.mark.parametrize('mode, group, words', [
@@ -398,7 +395,7 @@ def test_a_port_given_by_a_link_has_the_names_of_its_device(board, monkeypatch, 
 
 @pytest.mark.parametrize('arguments, words', [
     (['--seconds', '0', 'x'], '0 s is out of range (above 0, at most 120)'),
-    (['socket://x'], 'socket://x: socket:// takes a host and a port'),
+    (['socket://x'], 'socket://x: socket:// takes a host, a port'),
     (['--config', '/no/such/file', 'x'], '/no/such/file: No such file or directory'),
 ])
 def test_wrong_arguments_are_refused(arguments, words):

@@ -16,7 +16,7 @@ from waiting import Waiter, again_if_stalled
 
 from serial_communication.transport.pace import clock, set_priority
 from serial_communication.transport.port import Loan, Port, PortBusy, PortError
-from serial_communication.transport.urls import check_url, read_url
+from serial_communication.transport.urls import read_url
 
 _WRITER = """
 import os, sys
@@ -198,17 +198,6 @@ def test_a_loan_that_is_renewed_while_other_programs_are_looked_up_goes_on(line,
 def test_a_scheme_is_the_same_in_any_case(url, lower, scheme):
     assert read_url(url) == (lower, scheme)
     assert Port(url).is_network == (scheme in ('socket', 'rfc2217'))
-
-
-def test_ptmx_is_refused_and_not_opened(tmp_path, refusal):
-    """Each opening of it would make a pseudo terminal."""
-    (tmp_path / 'ptmx').symlink_to('/dev/ptmx')
-    for path in '/dev/ptmx', str(tmp_path / 'ptmx'):
-        with mock.patch('os.open', wraps=os.open) as opened:
-            assert 'makes a new pseudo terminal at each opening' in refusal(path)
-            with pytest.raises(ValueError, match='^' + path + ' makes a new pseudo terminal'):
-                check_url(path)
-        assert path not in [call.args[0] for call in opened.call_args_list]
 
 
 @pytest.mark.parametrize('major, byte_time', [(4, 1e-4), (188, 1e-4), (166, 0.0)])

@@ -4,7 +4,6 @@ import glob
 import grp
 import os
 import pwd
-import resource
 from typing import List
 
 from .devices import first_line
@@ -50,15 +49,4 @@ def _of_latency(path: str) -> List[str]:
 def of_computer() -> List[str]:
     """Remedies for all ports of this computer."""
     running = {first_line(path) for path in glob.glob(_PROCESSES)}
-    found = [f'{name} is running; {what}' for name, what in _GRABBERS.items() if name in running]
-    if not may_have_priority():
-        found.append(
-            'the heartbeat gets no real-time priority, so a busy computer may delay it: '
-            "echo '@dialout - rtprio 20' | sudo tee /etc/security/limits.d/serial.conf, "
-            'sudo usermod -a -G dialout $USER, and log in again')
-    return found
-
-
-def may_have_priority() -> bool:
-    """Whether this user may have real-time priority."""
-    return os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] != 0
+    return [f'{name} is running; {what}' for name, what in _GRABBERS.items() if name in running]
