@@ -4,7 +4,6 @@ A board's ``messages`` hold one row for each custom message, by name, with the k
 config/custom_messages.yaml shows. This module makes message classes and layouts of them. ROS types
 and topics stay text here; `ros` resolves them.
 """
-import difflib
 import re
 from math import inf, isnan
 from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Pattern,
@@ -137,9 +136,7 @@ class Row:
             raise RowError(key, given, f'may be a group with the keys {", ".join(keys)}')
         for unknown in given:
             if unknown not in keys:
-                near = difflib.get_close_matches(str(unknown), keys, 1)
-                raise self._error(unknown, 'is not a key of a row; ' + (
-                    f'did you mean {near[0]}?' if near else ', '.join(keys)))
+                raise self._error(unknown, f'is not a key of a row; {", ".join(keys)}')
 
     def name(self, key: str) -> str:
         """The full name of a key's parameter."""

@@ -142,12 +142,11 @@ class Value(NamedTuple):
             return number != 0
         return number if self.code in FRACTIONS else round(number)
 
-    def why_implausible(self, given: Any) -> str:
-        """Why a value, or one number of an array, is outside its limits; '' if it is not."""
+    def why_implausible(self, given: Any, low: float, high: float) -> str:
+        """Why a value, or one number of an array, is outside its `limits`; '' if it is not."""
         if not self.is_limited:
             return ''
         unit = f' {self.unit}'.rstrip()
-        low, high = self.limits
         for number in given if isinstance(given, tuple) else (given,):
             if number is not NO_VALUE and not low <= number <= high:
                 why = f'{self.name} is {number:.6g}, '
@@ -258,7 +257,7 @@ class Layout:
         for index, minimum, maximum in self._limited:
             given = values[index]
             if isinstance(given, tuple) or not minimum <= given <= maximum:
-                reason = self.values[index].why_implausible(given)
+                reason = self.values[index].why_implausible(given, minimum, maximum)
                 if reason:
                     return reason
         return ''
@@ -286,7 +285,7 @@ class Layout:
             part = parts.found[-1]._replace(unit=value.unit)
             parts.found[-1] = part if part.missing else part._replace(
                 raw=raw, value=given, meaning='no value' if given is NO_VALUE else '',
-                error=value.why_implausible(given))
+                error=value.why_implausible(given, *value.limits))
         parts.take_padding(self.size)
         return parts.take_rest('surplus', f'{len(data)} bytes of data, not {self.sizes()}')
 

@@ -9,7 +9,6 @@ from ..framing.frame_timer import FrameTimer
 from ..transport import pace
 from ..transport.opener import Opener
 from ..transport.port import PortError
-from .presence import SILENCE
 from .stall import LONGEST_SLEEP, STALL, StallWatch
 from .stamps import Read
 
@@ -178,7 +177,7 @@ class Connection:
         link.decoder.reset()
         link.stamps.reset()
         link.board_settings.reset()
-        link.unknown_bytes.opened()
+        link.presence.opened()
         self._timer.reset()
         now = time.monotonic()
         link.opened(now)
@@ -201,6 +200,7 @@ class Connection:
         link = self._link
         if data:
             self.last_byte_at = now
+            link.presence.bytes_came(now)
         frames = link.decoder.feed(data, Read(stamp, now)) if data else []
         if link.decoder.pending:
             frames += self._timer.overdue(self.last_byte_at, now)
@@ -208,12 +208,6 @@ class Connection:
         for frame in frames:
             if frame.stamp is not _OLD:
                 link.deliver(frame, now)
-        if data:
-            unknown = link.unknown_bytes
-            if now - unknown.understood_at > SILENCE:
-                self.guarded(unknown.feed, data, now)
-            elif unknown.size:
-                unknown.reset()
 
     def _check_stall(self, now: float) -> float:
         """After a stall begin to drop, and return its length in s; end that when bytes are new."""

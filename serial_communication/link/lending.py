@@ -32,7 +32,7 @@ class Lending:
         self.line = ''                # `dtr` or `rts`, which resets the board; '': none does
         # Set by boards, called in the link's thread: what must not be interrupted now, '': nothing.
         self.under_way: Callable[[], str] = lambda: ''
-        # Likewise: make the board safe, then `Port.give_up` with this reason; whether to reset it.
+        # Likewise: make the board safe, then `Port.give_up` with this reason. True: for a reset.
         self.let_go: Callable[[str, bool], None] = lambda why, resets: port.give_up(why)
         # Likewise: the board was reset.
         self.was_reset: Callable[[], None] = lambda: None

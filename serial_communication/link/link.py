@@ -2,20 +2,18 @@
 import logging
 import operator
 import time
-from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame, stamped
-from ..transport import pace
 from ..transport.port import Port, PortError
 from .announcement import BoardAnnouncement
 from .connection import Connection
 from .lending import Lending
 from .outcome import Refused  # noqa: F401  for the boards
-from .presence import SILENCE, STARTUP_TIME, PresenceLog
+from .presence import SILENCE, STARTUP_TIME, Presence
 from .settings import BoardSettings
 from .sparing_log import SparingLog
 from .stamps import Stamps
-from .unknown_bytes import OtherBoard, UnknownBytes
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
 RX, TX = 0, 1                  # as in SerialMsg
@@ -40,7 +38,6 @@ class Link:
         port: the link alone opens and closes it.
         frame_timeout: s without a byte after which an incomplete frame is given up.
         clock: returns the stamp of each read; it is used for nothing else.
-        other_boards: to be recognised if their frames are received instead of this board's.
         earlier: returns the stamp so many seconds before one of `clock`.
         board_time: whether a frame with the board's time has the stamp of its measurement.
     """
@@ -56,7 +53,6 @@ class Link:
     def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
                  logger: Optional[logging.Logger] = None,
-                 other_boards: Iterable[OtherBoard] = (),
                  earlier: Callable[[Any, float], Any] = operator.sub,
                  board_time: bool = True) -> None:
         self.name = name
@@ -69,8 +65,7 @@ class Link:
         self.last_frame_at: Optional[float] = None   # monotonic
         self.is_stopped = False            # by ~stop: whatever moves is refused
         self.announcement = BoardAnnouncement(self.log)
-        self.unknown_bytes = UnknownBytes(
-            (other for other in other_boards if other.name != name), port.baud, self.PRINT_TO)
+        self.presence = Presence(self.log, self.PRINT_TO)
         self.stamps = Stamps(port, earlier, self.log, board_time)
         takes_rows: Any = decoder      # that of a board with settings
         self.board_settings = BoardSettings(
@@ -78,7 +73,6 @@ class Link:
         self.connection = Connection(self, frame_timeout, clock)
         self.lending = Lending(port, self.connection.wake, self.connection.may_be_from_a_stall)
         self._clock = clock
-        self._presence = PresenceLog(self.log)
         self._reported_errors = 0
 
     # -- hooks ------------------------------------------------------------------------
@@ -191,7 +185,7 @@ class Link:
         new_errors, self._reported_errors = max(errors - self._reported_errors, 0), errors
         level, summary = self.condition(now)
         if level == OK and new_errors:
-            level, summary = WARN, self.unknown_bytes.printed(now) or (
+            level, summary = WARN, self.presence.printed(now) or (
                 f'{new_errors} error{"s" if new_errors > 1 else ""} in the last second')
         name = self.condition_name(now)
         if self.is_stopped:
@@ -231,7 +225,7 @@ class Link:
         if not self.port.is_open:
             return ERROR, f'closed: {self.connection.trouble}'
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
-            return WARN, f'open, {self.unknown_bytes.meaning(now) or "the board is silent"}'
+            return WARN, f'open, {self.presence.meaning(now) or "the board is silent"}'
         return OK, 'open'
 
     def condition_name(self, now: float) -> str:
@@ -262,22 +256,18 @@ class Link:
         # The board may still announce a type that is unknown now.
         self.decoder.counts_unknown = \
             self.announcement.on_text is None or now >= opened_at + _ANNOUNCING
-        if now < self._presence.due:
+        if now < self.presence.due:
             return
         talks = self.talks(now)
-        has_talked = self.unknown_bytes.understood_at >= opened_at
-        if talks or has_talked or now >= opened_at + STARTUP_TIME:
-            unknown = self.unknown_bytes.meaning(now)
-            self._presence.update(talks, f'{unknown} `rosrun serial_communication ports` finds out '
-                                  'which board is on which port' if unknown else self.silence(),
-                                  pace.clock())     # the bridge may have stalled since `now`
+        if talks or self.presence.understood_at >= opened_at or now >= opened_at + STARTUP_TIME:
+            self.presence.log(talks, self.silence(), time.monotonic())
 
     def deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
         tap, read = self.tap, frame.stamp
         shown = self.shown(stamped(frame, read.stamp)) if tap else frame
         frame = stamped(frame, self.stamps.of(frame, read))
-        printed = '' if frame.message is not None else self.unknown_bytes.add(frame, now)
+        printed = '' if frame.message is not None else self.presence.not_understood(frame, now)
         if printed:
             self.log.warn('text', printed)
         elif frame.cause and (frame.cause != UNKNOWN or self.decoder.counts_unknown):
@@ -288,7 +278,7 @@ class Link:
             self.frames_received += 1
             self.last_frame_at = now
             if frame.message is not None:     # another board's bytes may be an unknown frame
-                self.unknown_bytes.understood_at = now
+                self.presence.understood(now)
             self.received(frame, now)
         if tap:
             self.connection.guarded(tap, self.name, RX, shown)

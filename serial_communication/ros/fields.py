@@ -2,8 +2,6 @@
 
 Creating a `RosFields` checks the paths completely.
 """
-import difflib
-import glob
 import os
 import re
 import struct
@@ -32,25 +30,13 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
     """Return the class of an installed message (``kind`` 'msg') or service ('srv') type.
 
     Raises:
-        RowError: the type is not installed; the text suggests a similar type, or names the package
-            that is missing.
+        RowError: the type is not installed.
     """
     found = _found(name, kind)
     if found is not None:
         return found
-    package, short = name.split('/')
-    # All installed types, by their generated modules.
-    modules = (path.split(os.sep) for folder in sys.path for path in glob.glob(
-        os.path.join(glob.escape(folder), '*', kind, '_[A-Z]*.py')))
-    installed = sorted({(path[-3], path[-1][1:-3]) for path in modules})
-    there = [each for owner, each in installed if owner == package]
-    near = [f'{package}/{each}' for each in difflib.get_close_matches(short, there)]
-    elsewhere = [f'{owner}/{each}' for owner, each in installed if each == short]
-    near += difflib.get_close_matches(name, elsewhere, cutoff=0.0)
-    meant = next((f'; did you mean {each}?' for each in near if _found(each, kind)), '')
-    why = '' if there else (f': the package {package} is not installed or has no such types, or '
-                            'its workspace is not sourced')
-    raise RowError(key, name, f'is not an installed type{why}{meant}')
+    raise RowError(key, name, 'is not an installed type: is its package installed, and the '
+                   'workspace of that package sourced?')
 
 
 def _found(name: str, kind: str) -> Any:
@@ -202,8 +188,8 @@ class RosFields:
             if message_class._type == _QUATERNION:
                 fields.update(dict.fromkeys(_ANGLES, 'float64'))
             if name not in fields:
-                raise RowError(key, path, f'{message_class._type} has no field {name}'
-                               + _nearest(name, list(fields)))
+                raise RowError(key, path, f'{message_class._type} has no field {name}; it has '
+                               + ', '.join(fields))
             is_angle = name not in message_class.__slots__
             type_, bracket, size = fields[name].partition('[')
             array = bracket + size
@@ -346,10 +332,3 @@ def _put(message: Any, place: _Place, value: Any) -> None:
 
 def _for_each(convert: Callable[[Any], Any]) -> Callable[[Iterable], list]:
     return lambda numbers: [convert(number) for number in numbers]
-
-
-def _nearest(name: str, names: List[str]) -> str:
-    near = difflib.get_close_matches(name, names, 1)
-    if near:
-        return f'; did you mean {near[0]}?'
-    return f'; it has {", ".join(names)}' if 0 < len(names) <= 10 else ''

@@ -2,10 +2,9 @@
 import logging
 import operator
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ..link.link import Link
-from ..link.unknown_bytes import OtherBoard
 from .announced import AnnouncedRows
 from .parameter import Parameters
 
@@ -16,7 +15,6 @@ class LinkOptions(NamedTuple):
     frame_timeout: float           # s
     clock: Callable[[], Any]       # returns the rospy.Time that stamps a read
     logger: logging.Logger
-    other_boards: Sequence[OtherBoard] = ()
     # Returns the stamp so many seconds before a stamp of `clock`.
     earlier: Callable[[Any, float], Any] = operator.sub
 

@@ -14,10 +14,9 @@ from std_srvs.srv import Trigger, TriggerResponse
 
 from serial_communication.srv import Release, ReleaseResponse
 
-from ..boards import BOARDS, description
+from ..boards import BOARDS
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
-from ..link.unknown_bytes import OtherBoard
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import direct, logs, parameters, starting
@@ -148,13 +147,6 @@ def _merged(ours: Dict[str, Any], theirs: Dict[str, Any]) -> Dict[str, Any]:
     return result
 
 
-def _recognisable(p: dict, given: dict) -> List[OtherBoard]:
-    """The boards whose frames a link recognises on the wrong port."""
-    return [OtherBoard(board.name, partial(board.decoder, False, given.get(board.name) or {}),
-                       bool(p[f'{board.name}/port']))
-            for board in map(description, (*BOARDS, *given.get('boards', ())))]
-
-
 def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
     """Return the time so many seconds before `stamp`; ROS has none before 0."""
     nanoseconds = stamp.secs * 1_000_000_000 + stamp.nsecs - int(seconds * 1e9)
@@ -180,8 +172,7 @@ class Bridge:
     """
 
     def __init__(self, p: dict, given: dict, names: Dict[str, str]) -> None:
-        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER,
-                                   _recognisable(p, given), _earlier)
+        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER, _earlier)
         boards = [(board, values) for board, values in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
         self._given = given

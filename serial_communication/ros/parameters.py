@@ -2,7 +2,6 @@
 
 config/bridge.yaml documents them for users; a test compares the two.
 """
-import difflib
 import importlib
 import xmlrpc.client
 from typing import Any, Dict, List, Tuple, Type
@@ -83,7 +82,8 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
         if parameter.parse is not_empty:
             values[name] = values['frame_prefix'] + values[name]
     _check_together(interfaces, values, namespace)
-    return values, [_unknown(namespace, name, parameters) for name in sorted(flat)]
+    return values, [readable(f'parameter {namespace}/{name} is unknown and has no effect')
+                    for name in sorted(flat)]
 
 
 def _of_packages(names: List[str], namespace: str) -> List[Type[Interface]]:
@@ -189,9 +189,3 @@ def _flatten(given: Dict[str, Any], groups: Any, namespace: str) -> Dict[str, An
 
 def _not_a_group(name: str, value: Any) -> ParameterError:
     return ParameterError(f'parameter {name} is {brief(value, 120)}, may be a group of parameters')
-
-
-def _unknown(namespace: str, name: str, parameters: Parameters) -> str:
-    near = difflib.get_close_matches(name, parameters, 1)
-    meant = f'; did you mean {near[0]}?' if near else ''
-    return readable(f'parameter {namespace}/{name} is unknown and has no effect{meant}')

@@ -3,23 +3,21 @@
 A port is anything that pyserial opens; what only pyserial can read (rfc2217://, loop://) is read
 in slices of 50 ms. `open_port` has the kinds.
 """
+import glob
 import os
 import termios
 import threading
-import time
 from contextlib import suppress
-from typing import NamedTuple, Optional
+from typing import NamedTuple, Optional, Set
 
 import serial
 
-from .holders import holders_of
 from .open_port import OpenPort, open_port
 from .pace import clock
-from .port_errors import PortBusy, PortError, explain, who_has_it_open
-from .urls import NETWORK, check_device, read_url
+from .port_errors import PortBusy, PortError, explain
+from .urls import NETWORK, read_url
 
 _STALLED = 0.1     # s of wire time; with a longer backlog a tty counts as held when it closes
-_LOOK_AGAIN = 10.0  # s for which the program that has the port open is not looked up again
 
 
 class Loan(NamedTuple):
@@ -56,7 +54,6 @@ class Port:
         self.loan: Optional[Loan] = None     # the port stays closed while it runs
         self._opened: Optional[OpenPort] = None
         self._failure = ''               # why this connection was given up
-        self._in_use = ('', '', 0.0)     # path, who has it open, when to look again (monotonic)
         self._door = threading.Lock()    # held while a descriptor is opened or closed
         self._lock = threading.Lock()    # held to write, open and close; after `_door`
         self._rest = b''                 # the unsent rest of a frame that the kernel took in part
@@ -68,21 +65,18 @@ class Port:
 
     def open(self) -> None:
         """Open the port; raise PortError with the reason if it cannot be opened now."""
-        path = ''
         with self._door:
             try:
                 port = serial.serial_for_url(self.url, do_not_open=True)
-                path = port.port or ''
-                self._refuse_while_lent(path)
-                check_device(path)
+                self._refuse_while_lent(port.port or '')
                 port.baudrate = self.baud
                 opened = open_port(port, self._scheme, self._wake_read, self._reset_on_open)
             except (OSError, ValueError, termios.error) as error:
-                raise PortError(explain(error, path, self._who_has_it_open)) from None
+                raise PortError(explain(error)) from None
             with self._lock:
                 self.is_pty = opened.is_pty
                 self.byte_time = 10.0 / self.baud if opened.has_baud else 0.0
-                self._rest, self._in_use = b'', ('', '', 0.0)
+                self._rest = b''
                 self._failure = str(self.loan or '')     # lent meanwhile: nothing may be written
                 self._opened = opened
 
@@ -94,9 +88,8 @@ class Port:
             return
         if loan.runs:
             raise PortError(str(loan))
-        holders = [str(each) for each in holders_of(path) if each.pid != os.getpid()]
-        if holders:
-            raise PortError(f'it was {loan}, and is still open in {", ".join(holders)}')
+        if open_in(path) - {os.getpid()}:
+            raise PortError(f'it was {loan}, and another program still has it open')
         with self._lock:
             if self.loan is not loan:       # it is lent again meanwhile
                 raise PortError(str(self.loan))
@@ -141,13 +134,6 @@ class Port:
             opened.pulse(line)
         except (OSError, termios.error) as error:
             raise PortError(explain(error)) from None
-
-    def _who_has_it_open(self, path: str) -> str:
-        """Looked up at most every `_LOOK_AGAIN` s: it reads the open files of all processes."""
-        now = time.monotonic()
-        if path != self._in_use[0] or now >= self._in_use[2]:
-            self._in_use = path, who_has_it_open(path), now + _LOOK_AGAIN
-        return self._in_use[1]
 
     def close(self) -> None:
         """Close the port; what was written but not sent is dropped."""
@@ -253,3 +239,18 @@ class Port:
         """Make a sleeping `read` return, or the next one."""
         with suppress(BlockingIOError):     # the pipe is full of wake-ups already
             os.write(self._wake_write, b'.')
+
+
+def open_in(path: str) -> Set[int]:
+    """The processes that have a device open: those of this user, for root of all users; of a pseudo
+    terminal without those that have the other end of one."""
+    device, found, masters = os.path.realpath(path), set(), set()
+    for descriptor in glob.iglob('/proc/[0-9]*/fd/*'):
+        with suppress(OSError):     # closed meanwhile
+            opened, pid = os.readlink(descriptor), int(descriptor.split('/')[2])
+            if opened.endswith('/ptmx'):
+                masters.add(pid)
+            # In a container the same path may be another device.
+            elif opened == device and os.path.samefile(descriptor, device):
+                found.add(pid)
+    return found - masters if device.startswith('/dev/pts/') else found

@@ -1,16 +1,8 @@
-"""What is wrong with a port, in words for people, and what to do about it if that is known."""
+"""What is wrong with a port, in words for people."""
 import errno
-import grp
-import os
-import pwd
 import socket
 import termios
-from typing import Callable, Iterator, Optional
-
-from . import devices
-from .holders import holders_of
-
-WAITING = '; waiting for it'     # in the text for a device that is absent, for who does not wait
+from typing import Iterator, Optional
 
 
 class PortError(Exception):
@@ -23,7 +15,8 @@ class PortBusy(Exception):
 
 GONE = 'the device has gone'
 _ABSENT = 'there is no such device; waiting for it'
-_IN_USE = 'another program has it open'
+_IN_USE = 'another program has it open; `rosrun serial_communication ports` names it'
+_DENIED = 'permission denied; `rosrun serial_communication ports` has the remedy'
 _CLOSED = 'the other side closed the connection'
 _NO_ANSWER = 'the host does not answer'
 _NO_RFC2217 = 'the other side does not speak RFC 2217; socket:// is for a plain TCP connection'
@@ -34,7 +27,8 @@ _HINTS = {
     errno.ENXIO: _ABSENT,
     errno.ENODEV: GONE,
     errno.EIO: GONE,
-    errno.EPERM: 'permission denied',
+    errno.EACCES: _DENIED,
+    errno.EPERM: _DENIED,
     errno.EBUSY: _IN_USE,
     errno.EAGAIN: _IN_USE,
     errno.EISDIR: 'this is a directory, not a serial port',
@@ -61,31 +55,13 @@ _TEXTS = {
 }
 
 
-def who_has_it_open(path: str) -> str:
-    """Which programs have a device open, for people; this reads the open files of all of them."""
-    holders = holders_of(path)
-    if [holder.pid for holder in holders] == [os.getpid()]:
-        return f'this program itself has it open (pid {os.getpid()})'
-    if not holders:
-        return f'{_IN_USE}, of another user: `sudo fuser -v {path}` names it'
-    return f'{_IN_USE}: {", ".join(map(str, holders))}'
-
-
-def explain(error: BaseException, path: str = '',
-            in_use: Callable[[str], str] = who_has_it_open) -> str:
-    """The text for an error of the system or of pyserial. `path`: of the device, if it is one;
-    `in_use`: says who has it open."""
+def explain(error: BaseException) -> str:
+    """The text for an error of the system or of pyserial."""
     for cause in _system_errors(error):
         if isinstance(cause, socket.gaierror):
             return 'no host of that name is known'
-        number = cause.args[0]
-        if path and number in (errno.EBUSY, errno.EAGAIN):
-            return in_use(path)
-        if path and number == errno.ENOENT:
-            return _ABSENT + _what_is_there(path)
-        hint = _who_may_open(path) if number == errno.EACCES else _HINTS.get(number)
-        if hint:
-            return hint
+        if cause.args[0] in _HINTS:
+            return _HINTS[cause.args[0]]
     return next((meaning for part, meaning in _TEXTS.items() if part in str(error)), str(error))
 
 
@@ -95,27 +71,3 @@ def _system_errors(error: Optional[BaseException]) -> Iterator[BaseException]:
         if isinstance(error, (OSError, termios.error)) and error.args:
             yield error
         error = error.__context__
-
-
-def _who_may_open(path: str) -> str:
-    """Why permission to open this device was denied, and how to get it."""
-    try:
-        status = os.stat(path)
-        group, owner = grp.getgrgid(status.st_gid).gr_name, pwd.getpwuid(status.st_uid).pw_name
-    except (OSError, KeyError):     # an unreadable folder, or a user or group without a name
-        return 'permission denied'
-    if status.st_mode & 0o060 == 0o060 and group != 'root':
-        return ('permission denied; join the group that owns it '
-                f'(sudo usermod -a -G {group} $USER) and log in again')
-    return (f'permission denied; only {owner} may open it: a udev rule can give it to a group, '
-            'as in config/99-serial_communication.rules')
-
-
-def _what_is_there(path: str) -> str:
-    """The devices that are there instead of an absent one, for people."""
-    for meant in os.path.join('/dev', path), '/' + path:
-        if path[:1] != '/' and os.path.exists(meant):
-            return f'; did you mean {meant}?'
-    if '/' in path and not path.startswith('/dev/'):
-        return ''     # not a device but a link, as of a simulated board
-    return f"; this computer has {', '.join(devices.paths()) or 'no serial port'}"

@@ -37,6 +37,7 @@ _LATE, _LATE_BY = 250, 0.2      # this one, and all behind it, are sent so late;
 _NEW_CLOCK = 50          # values after an opening at least until the bridge knows the clock
 _WITHIN = 0.005          # s from the measurement
 _SILENCE, _FRAMING = 'mcu: the board is silent', 'mcu: framing'      # in the log
+_NO_FRAME = 5.0          # s in which bytes come, but no valid frame, until that is said
 _RATE = 1.003e6          # ticks of the board's clock in a second
 _VALID = codec.mcu_frame(0x55, 0, bytes(range(16, 32)))
 _FALSE_START = b'\x02\xFF\x55'
@@ -517,11 +518,13 @@ def hints(rig: Rig) -> None:
         rig.car_line.write(status(99))
     rig.car.talks = False
     with rig.clock.each(0.02, swap):
-        rig.diagnosed('mcu', 1, "they are the arduino's: are the two ports swapped?")
-        rig.diagnosed('arduino', 1, "they are the mcu's: are the two ports swapped?")
+        rig.sleep(_NO_FRAME)
+        for link in 'mcu', 'arduino':
+            rig.diagnosed(link, 1, 'no valid frame: wrong baud rate or board?')
     rig.car.measure()       # the bytes before it count no more
     with rig.clock.each(0.02, lambda: rig.car_line.write(_UNKNOWN)):
-        rig.diagnosed('arduino', 1, 'of unknown types (200)')
+        rig.sleep(_NO_FRAME)
+        rig.diagnosed('arduino', 1, 'of unknown types')
     rig.car.talks = True
     with rig.clock.each(0.05, lambda: rig.sensors.write(status(0xFFFF))):
         logged.wait(lambda: rig.logs.find('mcu: no value of range 1'), 'a sensor times out', 10.0)

@@ -279,8 +279,8 @@ class AnnouncedTest(unittest.TestCase):
         reasons = {
             'imu: ' + row % (50, 'std_msgs/UInt16'): 'announced/imu is .imu.*may not be a name',
             'a: ' + row % (10, 'std_msgs/UInt16'): 'announced/a/type is 10 .int., may be a whole',
-            'b: ' + row % (51, 'std_msgs/Uint16'): 'announced/b/ros_type is .*did you mean',
-            'c: {typ: 5}\n': 'announced/c/typ is 5 .*did you mean type',
+            'b: ' + row % (51, 'std_msgs/Uint16'): 'announced/b/ros_type is .*not an installed',
+            'c: {typ: 5}\n': 'announced/c/typ is 5 .*not a key of a row',
             'd: {type: 5\n': 'line 5 of the announcement is left out',
             'e: ' + row % (33, 'std_msgs/UInt16'): 'announced/e/type is 33 .*already the type of l',
             'mine: ' + row % (42, 'std_msgs/UInt16'):

@@ -287,7 +287,7 @@ class LendingTest(BoardsTest):
         command, = self.children_of(process)
         child, = self.children_of(command)
         process.kill()
-        self.check_state(ERROR, 'still open in python3')
+        self.check_state(ERROR, 'another program still has it open')
         self.assertEqual(bytes(self.board.wire), b'')
         os.kill(child, signal.SIGUSR1)
         self.check_back()
@@ -326,7 +326,7 @@ class LendingTest(BoardsTest):
     def test_a_program_that_was_suspended_during_a_loan_goes_on_with_it(self):
         process = self.borrow()
         process.send_signal(signal.SIGSTOP)
-        self.check_state(ERROR, 'still open in python3')
+        self.check_state(ERROR, 'another program still has it open')
         process.send_signal(signal.SIGCONT)
         self.check_state(WARN, 'lent to python3')
         self.assertEqual(bytes(self.board.wire), b'')

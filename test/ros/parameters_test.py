@@ -19,7 +19,7 @@ from parameter_table_test import (ExternalBoards, Lines,  # noqa: F401
 # checks every parameter, without processes.
 WRONG = (
     ('frame_timeout', 'soon', 'a number from 0.001 to 10 (s)'),
-    ('bus/port', 'socket://robot', 'socket://192.168.1.5:4001; the port is missing'),
+    ('bus/port', 'socket://robot', 'takes a host, a port and options'),
     ('mcu/min_range', 3.0, 'less than mcu/max_range'),
     ('arduino', 'off', 'a group of parameters'),
 )
@@ -143,13 +143,11 @@ class Names(unittest.TestCase):
         self.assertTrue(self.bridge.alive)
         self.assert_ends()
 
-    def test_an_unknown_name_is_a_warning_with_a_suggestion(self):
-        self.start('bus', 'arduino', 'mcu', mcu__timeuot=3.0, publish_ft=True, mcu__colour='red')
-        for name, words in (('mcu/timeuot', 'did you mean mcu/timeout?'),
-                            ('publish_ft', 'did you mean publish_tf?'), ('mcu/colour', '')):
+    def test_an_unknown_name_is_a_warning(self):
+        self.start('bus', 'arduino', 'mcu', mcu__timeuot=3.0, publish_ft=True)
+        for name in 'mcu/timeuot', 'publish_ft':
             line = self.bridge.wait_for('parameter /bridge/%s is unknown' % name)
             self.assertIn('WARN', line)
-            self.assertIn(words, line)
         self.assert_interface('bus', 'arduino', 'mcu')
         self.assert_ends()
 

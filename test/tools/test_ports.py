@@ -1,9 +1,11 @@
 """The program `ports`, on pseudo terminals with simple boards: what it finds and writes."""
+import getpass
 import itertools
 import json
 import os
 import pty
 import random
+import shutil
 import subprocess
 import sys
 import termios
@@ -20,13 +22,12 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.config_file import read_parameters
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.announcement import chunks_of
 from serial_communication.tools.ports import advice, cli, configuration, report
 from serial_communication.tools.ports.configuration import Connection
+from serial_communication.tools.ports.devices import Device
+from serial_communication.tools.ports.holders import Holder, holders_of
 from serial_communication.tools.ports.listening import Candidate, Received
 from serial_communication.tools.ports.report import Found
-from serial_communication.transport.devices import Device
-from serial_communication.transport.holders import Holder
 from waiting import until
 
 pytestmark = pytest.mark.slow      # the program listens for seconds
@@ -142,15 +143,6 @@ def test_only_silent_ports_are_asked_and_only_for_a_sync(board, tmp_path):
     assert [each.received for each in boards] == [b'', SYNC, b'', SYNC * 3]
 
 
-def test_announced_firmware_is_shown(board):
-    chunks = [arduino.encode(chunk) for chunk in chunks_of(
-        b'firmware: nano_car 1.1.0\nforce: {type: 32, ros_type: any/Type, layout: "<h", '
-        b'fields: [data]}\n', 16)]
-    path = board('port', each=[CAR + chunk for chunk in chunks]).path
-    assert found(path)['port']['firmware'] == 'nano_car 1.1.0'
-    assert run(path).stdout.startswith(f'{path}  arduino (model car), firmware nano_car 1.1.0\n')
-
-
 @pytest.mark.parametrize('data, name, baud, configured', [
     (MCU, 'mcu', 57600, ''), (CAR, 'arduino', 2400, '2400'), (CAR, 'arduino', 115200, '2400'),
     (b'', 'bus', 2400, '2400')])
@@ -202,6 +194,7 @@ def test_a_port_that_another_program_has_open_is_named_and_not_touched(board, tm
                           stdout=subprocess.PIPE) as reader:
         try:
             data = reader.stdout.read(16)
+            assert holders_of(port.path) == [Holder(reader.pid, 'serial_monitor')]
             done = run(port.path)
             assert f'open in  serial_monitor (pid {reader.pid})' in done.stdout
             assert 'not listened to: another program has it open' in done.stdout
@@ -211,6 +204,7 @@ def test_a_port_that_another_program_has_open_is_named_and_not_touched(board, tm
             assert sum(decoder.errors.values()) <= 1 and len(frames) > 90    # 1: the first bytes
         finally:
             reader.kill()
+    assert holders_of(port.path) == []
 
 
 def test_a_written_configuration_has_the_ports_and_all_else_of_the_base(board, tmp_path):
@@ -345,15 +339,39 @@ def test_what_makes_a_port_slow_or_stolen_has_its_remedy(tmp_path, monkeypatch):
     timer.write_text('16\n')
     assert f'16 ms, unless the program that opens the port may change that: echo 1 | sudo tee ' \
         f'{timer}' in advice.of_port('/dev/ttyUSB0')[0]
-    monkeypatch.setattr(advice, 'may_have_priority', lambda: True)
     assert advice.of_computer() == []
     (tmp_path / 'comm1').write_text('ModemManager\n')
     (tmp_path / 'comm2').write_text('brltty\n')
-    monkeypatch.setattr(advice, 'may_have_priority', lambda: False)
-    modems, braille, priority = advice.of_computer()
+    modems, braille = advice.of_computer()
     assert 'sudo systemctl disable --now ModemManager' in modems
     assert 'sudo apt-get remove brltty' in braille
-    assert "echo '@dialout - rtprio 20' | sudo tee /etc/security/limits.d/" in priority
+
+
+@pytest.mark.parametrize('mode, group, words', [
+    (0o660, 'dialout', 'join the group that owns it: sudo usermod -a -G dialout $USER'),
+    (0o660, 'uucp', 'join the group that owns it: sudo usermod -a -G uucp $USER'),
+    (0o600, 'dialout', 'only root may open it'), (0o660, 'root', 'only root may open it')])
+def test_a_port_that_this_user_may_not_open_has_its_remedy(board, mode, group, words):
+    target, is_root = os.path.realpath(board('port').path), os.geteuid() == 0
+    assert advice.of_port(target) == []
+    if is_root:
+        shutil.chown(target, 'root', group)
+    else:
+        mode, words = 0, f'only {getpass.getuser()} may open it'
+    os.chmod(target, mode)
+    groups = os.getgroups()
+    if is_root:
+        os.setgroups([])    # after a login root is a member of its own group
+        os.setegid(65534)
+        os.seteuid(65534)
+    try:
+        remedy, = advice.of_port(target)
+    finally:
+        if is_root:
+            os.seteuid(0)
+            os.setegid(0)
+            os.setgroups(groups)
+    assert words in remedy
 
 
 @pytest.mark.parametrize('options, words', [([], 'This computer has no serial port.'),
@@ -377,7 +395,7 @@ def test_a_port_given_by_a_link_has_the_names_of_its_device(board, monkeypatch, 
 
 @pytest.mark.parametrize('arguments, words', [
     (['--seconds', '0', 'x'], '0 s is out of range (above 0, at most 120)'),
-    (['socket://x'], 'socket://x: socket:// takes a host and a port'),
+    (['socket://x'], 'socket://x: socket:// takes a host, a port'),
     (['--config', '/no/such/file', 'x'], '/no/such/file: No such file or directory'),
 ])
 def test_wrong_arguments_are_refused(arguments, words):

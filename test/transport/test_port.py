@@ -2,8 +2,6 @@
 import contextlib
 import os
 import socket
-import subprocess
-import sys
 import threading
 import time
 from unittest import mock
@@ -14,7 +12,6 @@ from lines import Rfc2217Server
 from waiting import Waiter, again_if_stalled
 
 from serial_communication.transport.pace import clock
-from serial_communication.transport.holders import Holder, holders_of
 from serial_communication.transport.port import Loan, Port, PortBusy, PortError
 from serial_communication.transport.urls import read_url
 
@@ -132,41 +129,18 @@ def test_a_read_of_a_removed_device_raises_port_error(port, line):
 
 
 def test_a_port_is_opened_exclusively(port, line, refusal):
-    assert refusal(line.path) == f'this program itself has it open (pid {os.getpid()})'
+    assert refusal(line.path).startswith('another program has it open; `rosrun')
     port.close()
     again = Port(line.path)
     again.open()
     again.close()
 
 
-_HOLDER = '''
-import sys, time, serial
-port = serial.Serial(sys.argv[1], exclusive=True)
-print('open', flush=True)
-time.sleep(600)
-'''
-
-
-def test_the_program_that_has_a_port_open_is_named(line, tmp_path, refusal):
-    script = tmp_path / 'holds_it'
-    script.write_text(_HOLDER)
-    with subprocess.Popen([sys.executable, str(script), line.path], stdout=subprocess.PIPE) as held:
-        try:
-            assert held.stdout.readline() == b'open\n'
-            names = holders_of(line.path)
-            assert Holder(held.pid, 'holds_it') in names
-            assert refusal(line.path).startswith('another program has it open: ')
-            assert f'holds_it (pid {held.pid})' in refusal(line.path)
-        finally:
-            held.kill()
-    assert Holder(held.pid, 'holds_it') not in holders_of(line.path)
-
-
-def test_a_loan_that_is_renewed_while_the_holders_are_looked_up_goes_on(line, monkeypatch):
+def test_a_loan_that_is_renewed_while_other_programs_are_looked_up_goes_on(line, monkeypatch):
     port, renewed = Port(line.path), Loan('me', clock() + PATIENCE)
     assert port.lend_closed(Loan('me', clock())), 'which is over at once'
-    monkeypatch.setattr('serial_communication.transport.port.holders_of',
-                        lambda path: [] if port.lend_closed(renewed) else ['the port is open'])
+    monkeypatch.setattr('serial_communication.transport.port.open_in',
+                        lambda path: set() if port.lend_closed(renewed) else {1})
     with pytest.raises(PortError, match='^lent to me$'):
         port.open()
     assert port.loan is renewed and not port.is_open

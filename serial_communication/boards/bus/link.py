@@ -252,7 +252,7 @@ class BusLink(Link):
                 return WARN, f'open, waits for {waits_for}'
             return OK, 'ready'
         level = ERROR if condition in (Condition.NO_SYNC, Condition.NO_ECHO) else WARN
-        unknown = self.unknown_bytes.meaning(now) if condition is Condition.NO_SYNC else ''
+        unknown = self.presence.meaning(now) if condition is Condition.NO_SYNC else ''
         return level, unknown or condition.value
 
     def condition_of_board(self, now: float) -> str:

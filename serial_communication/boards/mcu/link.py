@@ -137,7 +137,7 @@ class McuLink(Link):
     def condition(self, now: float) -> Tuple[int, str]:
         if not self.port.is_open:
             return super().condition(now)
-        silence = self.unknown_bytes.meaning(now) or 'the board is silent'
+        silence = self.presence.meaning(now) or 'the board is silent'
         return (WARN, f'open, {silence}') if self.silent else (OK, 'open')
 
     def talks(self, now: float) -> Optional[bool]:

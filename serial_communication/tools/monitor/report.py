@@ -7,8 +7,8 @@ from typing import Any, List
 import rospkg
 import yaml
 
-from ...transport.devices import devices
-from ...transport.holders import holders_of
+from ..ports.devices import devices
+from ..ports.holders import holders_of
 from ..watch.state import BridgeState
 from ..watch.table import LEVELS
 

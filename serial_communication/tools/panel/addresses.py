@@ -11,7 +11,7 @@ from typing import List, Optional, Tuple
 
 import tornado.netutil
 
-from ...transport.holders import holder
+from ..ports.holders import holder
 from .guard import is_loopback
 
 _LISTENS = '0A'        # state of a socket in /proc/net/tcp

@@ -14,12 +14,11 @@ from typing import Any, Dict, List, Optional
 from ...boards import BoardError, descriptions
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...output import no_more_output, prepare_output
-from ...transport import devices
-from ...transport.devices import Device
-from ...transport.holders import holders_of
 from ...transport.urls import url_argument
-from . import configuration
+from . import configuration, devices
 from .configuration import WriteError
+from .devices import Device
+from .holders import holders_of
 from .listening import Candidate, Received, Listener
 from .report import Found, as_json, as_text, connections
 

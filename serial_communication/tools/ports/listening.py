@@ -1,22 +1,19 @@
 """Listens to a port and finds out which board is on it."""
+import re
 import time
-from typing import Any, Callable, Iterable, Mapping, NamedTuple, Optional
+from typing import Any, Callable, Iterable, List, Mapping, NamedTuple, Optional
 
 from ...boards.description import Description
-from ...framing.announcement import Assembly, Chunk, read_announcement
-from ...framing.recognition import Recognition
-from ...framing.stream import Decoder
+from ...framing.stream import UNKNOWN, Decoder, Frame
 from ...transport.port import Port, PortBusy, PortError
-from ...transport.port_errors import WAITING
 
 USUAL = (9600, 57600, 38400, 19200, 230400, 460800, 921600, 500000, 250000, 1000000)    # baud
 _STARTUP = 2.0    # s more for a silent port: opening it may have reset its board
 _OTHER = 0.7      # s that is enough to recognise a board at another rate, at most
-_CHUNK = 1.2      # s more for a recognised board, which may announce its firmware
-_CHUNKS = 4.0     # s that the announcement takes, at most
 _ANSWER = 0.3     # s for an answer
 _QUESTIONS = 3    # times that a question is asked
 _SAMPLE = 24      # bytes
+_FRAMES = 3       # the fewest valid frames by which a board is recognised
 
 
 class Candidate(NamedTuple):
@@ -43,7 +40,6 @@ class Received(NamedTuple):
     size: int = 0                  # bytes received at the first rate
     sample: bytes = b''            # the first of them
     trouble: str = ''              # why the port cannot be listened to
-    firmware: str = ''             # its name and version, if the board announces them in time
 
     @property
     def kind(self) -> str:
@@ -70,7 +66,7 @@ class Listener:
         try:
             return self._listen(url)
         except PortError as error:
-            return Received(trouble=str(error).replace(WAITING, ''))
+            return Received(trouble=re.sub('; (waiting|`rosrun).*', '', str(error)))
 
     def _listen(self, url: str) -> Received:
         rates = list(dict.fromkeys(each.baud for each in self._candidates))
@@ -92,14 +88,14 @@ class Listener:
         Args:
             wait: listen longer if nothing is received.
         """
-        recognition = Recognition({each.board.name: each.decoder for each in self._candidates})
-        heard, firmware = b'', ''
+        heard, name, look_at = b'', '', 0
 
         def received(data: bytes) -> bool:
-            nonlocal heard
+            nonlocal heard, name, look_at
             heard += data
-            recognition.feed(data)
-            return bool(recognition.name)
+            if len(heard) >= look_at:
+                name, look_at = recognised(self._candidates, heard), 2 * len(heard)
+            return bool(name)
 
         port = Port(url, baud)
         try:
@@ -107,35 +103,10 @@ class Listener:
             _read(port, seconds, received)
             if wait and not heard:
                 _read(port, _STARTUP, received)
-            size = len(heard)
-            if recognition.name:
-                firmware = self._firmware(port, recognition.name, heard)
         finally:
             port.close()
-        recognition.finish()
-        found = recognition.name
-        return Received(found, baud if found else None, size, heard[:_SAMPLE], firmware=firmware)
-
-    def _firmware(self, port: Port, name: str, heard: bytes) -> str:
-        """The name and version of the firmware, if the board announces them soon enough."""
-        decoder, = [each.decoder() for each in self._candidates if each.board.name == name]
-        assembly = Assembly()
-        chunks = 0
-
-        def received(data: bytes) -> bool:
-            nonlocal chunks
-            for frame in decoder.feed(data):
-                if isinstance(frame.message, Chunk):
-                    chunks += 1
-                    try:
-                        assembly.add(frame.message)
-                    except ValueError:
-                        pass     # the text is too long
-            return bool(chunks)
-
-        if received(heard) or _read(port, _CHUNK, received):
-            _read(port, _CHUNKS, lambda data: received(data) and assembly.complete)
-        return read_announcement(assembly.text or b'').firmware
+        name = name or recognised(self._candidates, heard)
+        return Received(name, baud if name else None, len(heard), heard[:_SAMPLE])
 
     def _asked(self, url: str) -> Optional[Received]:
         """The board that answers its question; None: no board does."""
@@ -145,6 +116,25 @@ class Listener:
                 if answer:
                     return Received(each.board.name, each.baud, len(answer), answer[:_SAMPLE])
         return None
+
+
+def recognised(candidates: Iterable[Candidate], data: bytes) -> str:
+    """The name of the board whose frames these bytes are, or ''.
+
+    Bytes of another board, of another baud rate or of noise are sometimes a valid frame by chance,
+    above all without a checksum. So it needs several valid ones that have most of the bytes.
+    """
+    name, most = '', 0
+    for each in candidates:
+        decoder = each.decoder()
+        frames: List[Frame] = decoder.feed(data)
+        while decoder.pending:
+            frames += decoder.give_up()
+        valid = [len(frame.raw) for frame in frames if frame.message is not None]
+        invalid = sum(len(frame.raw) for frame in frames if frame.cause not in ('', UNKNOWN))
+        if len(valid) >= _FRAMES and sum(valid) > max(invalid, most):
+            name, most = each.board.name, sum(valid)
+    return name
 
 
 def _answer(url: str, candidate: Candidate) -> bytes:

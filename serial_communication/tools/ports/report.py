@@ -5,10 +5,10 @@ from typing import Dict, Iterable, List, Mapping, NamedTuple
 
 from ...boards import BOARDS
 from ...framing.layout import readable
-from ...transport.devices import Device
-from ...transport.holders import Holder
 from . import advice
 from .configuration import Connection
+from .devices import Device
+from .holders import Holder
 from .listening import Candidate, Received
 
 
@@ -36,7 +36,6 @@ def as_json(ports: Iterable[Found]) -> str:
         'board': port.heard.board or None,
         'heard': port.heard.kind,
         'baud': port.heard.baud,
-        'firmware': port.heard.firmware or None,
         'held_by': ', '.join(map(str, port.holders)) or None,
         'name': port.device.name,
         'by_id': port.device.by_id or None,
@@ -77,8 +76,7 @@ def _meaning(heard: Received, boards: Mapping[str, Candidate]) -> str:
         board = boards[heard.board].board
         other = f', at {heard.baud} baud' if heard.baud != board.baud else ''
         title = f' ({board.title})' if board.title else ''
-        firmware = f', firmware {heard.firmware}' if heard.firmware else ''
-        return board.name + title + firmware + other
+        return board.name + title + other
     if heard.trouble:
         return f'not listened to: {heard.trouble}'
     return 'bytes of no known board, at no usual baud rate' if heard.size else 'silent'

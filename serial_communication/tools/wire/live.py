@@ -14,9 +14,9 @@ from ...framing.settings import Setting, message_of
 from ...framing.stream import Frame
 from ...link.stall import AFTER_STALL, STALL
 from ...transport import pace
-from ...transport.holders import holders_of
 from ...transport.opener import Opener
 from ...transport.port import Port, PortError
+from ..ports.holders import holders_of
 from . import recording
 from .announced import Learner
 from .forwarder import Forwarder

@@ -1,8 +1,9 @@
 """The programs that have a device open, as far as this user may see them."""
-import glob
 import os
 from contextlib import suppress
 from typing import List, NamedTuple, Set
+
+from ...transport.port import open_in
 
 
 class Holder(NamedTuple):
@@ -21,8 +22,7 @@ def holders_of(path: str) -> List[Holder]:
         port = os.stat(path)
     except OSError:
         return []
-    return [holder(pid)
-            for pid in sorted(_by_lock(port) | _by_descriptor(os.path.realpath(path), port))]
+    return [holder(pid) for pid in sorted(_by_lock(port) | open_in(path))]
 
 
 def _by_lock(port: os.stat_result) -> Set[int]:
@@ -34,30 +34,6 @@ def _by_lock(port: os.stat_result) -> Set[int]:
                     if words[1] == 'FLOCK' and words[5] == inode and int(words[4]) > 0}
     except (OSError, IndexError, ValueError):
         return set()
-
-
-def _by_descriptor(device: str, port: os.stat_result) -> Set[int]:
-    """Those that have it open; seen for the processes of this user, by root for all."""
-    found = set()
-    for descriptor in glob.iglob('/proc/[0-9]*/fd/*'):
-        with suppress(OSError):     # closed meanwhile
-            # In a container the same path may be another device.
-            if os.readlink(descriptor) == device and os.path.samestat(os.stat(descriptor), port):
-                found.add(int(descriptor.split('/')[2]))
-    if device.startswith('/dev/pts/'):
-        found = {pid for pid in found if not _has_master(pid, device.rpartition('/')[2])}
-    return found
-
-
-def _has_master(pid: int, number: str) -> bool:
-    """Whether a program has the other end of a pseudo terminal: socat, or a simulated board."""
-    for descriptor in glob.iglob(f'/proc/{pid}/fd/*'):
-        with suppress(OSError):
-            if os.readlink(descriptor).endswith('ptmx'):
-                with open(descriptor.replace('/fd/', '/fdinfo/')) as file:
-                    if ['tty-index:', number] in map(str.split, file):
-                        return True
-    return False
 
 
 def holder(pid: int) -> Holder:

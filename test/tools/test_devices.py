@@ -1,11 +1,11 @@
-"""The list of this computer's serial ports, and what is said of one that is absent."""
+"""The list of this computer's serial ports."""
 import os
 from types import SimpleNamespace
 
 import pytest
 
-from serial_communication.transport import devices
-from serial_communication.transport.devices import Device
+from serial_communication.tools.ports import devices
+from serial_communication.tools.ports.devices import Device
 
 
 @pytest.fixture
@@ -44,7 +44,8 @@ def test_ports_are_listed_in_order_and_only_those_with_hardware(computer):
     for name, type_ in (('ttyUSB10', None), ('ttyUSB9', None), ('ttyS0', 4), ('ttyS1', 0),
                         ('tty0', None), ('ttyTHS1', 1)):
         computer.add(name, type_)
-    assert devices.paths() == ['/dev/ttyS0', '/dev/ttyTHS1', '/dev/ttyUSB9', '/dev/ttyUSB10']
+    assert [device.path for device in devices.devices()] == [
+        '/dev/ttyS0', '/dev/ttyTHS1', '/dev/ttyUSB9', '/dev/ttyUSB10']
 
 
 def test_a_port_has_all_its_names(computer):
@@ -62,5 +63,4 @@ def test_a_port_has_all_its_names(computer):
 
 
 def test_this_computers_ports_can_be_listed():
-    assert [device.path for device in devices.devices()] == devices.paths()
-    assert all(os.path.exists(path) for path in devices.paths())
+    assert all(os.path.exists(device.path) for device in devices.devices())

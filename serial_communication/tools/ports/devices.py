@@ -29,11 +29,10 @@ def devices() -> List[Device]:
     """All serial ports, sorted; without those of the kernel's list that have no hardware."""
     usb, by_id, by_path = _usb_adapters(), _links('by-id'), _links('by-path')
     return [Device(path, by_id.get(path, ''), by_path.get(path, ''), *usb.get(path, ()))
-            for path in paths()]
+            for path in _paths()]
 
 
-def paths() -> List[str]:
-    """The paths of all serial ports, sorted."""
+def _paths() -> List[str]:
     names = [os.path.basename(path) for path in glob.glob(f'{_TTYS}/*')]
     found = [f'/dev/{name}' for name in names
              if os.path.exists(f'{_TTYS}/{name}/device')

@@ -1,6 +1,5 @@
 """Whose frames a stream of bytes has: each board's are recognised, and nothing else is."""
 import random
-from functools import partial
 
 import pytest
 
@@ -8,7 +7,7 @@ from serial_communication.boards import BOARDS, description
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.recognition import Recognition
+from serial_communication.tools.ports.listening import Candidate, recognised
 
 CHOICE = random.Random(22)
 STREAMS = {
@@ -22,23 +21,15 @@ STREAMS = {
 }
 
 
-def recognition():
-    return Recognition({name: partial(description(name).decoder, False, {}) for name in BOARDS})
-
-
-def fed(data, piece=100):
-    one = recognition()
-    for at in range(0, len(data), piece):
-        one.feed(data[at:at + piece])
-    return one
+def board_of(data):
+    return recognised([Candidate(description(name), {}) for name in BOARDS], data)
 
 
 @pytest.mark.parametrize('name', sorted(STREAMS))
-@pytest.mark.parametrize('piece', [1, 7, 4096])
-def test_a_board_is_recognised_in_any_pieces_from_any_byte_on(name, piece):
+def test_a_board_is_recognised_from_any_byte_on(name):
     for start in 0, 1, 5:
-        assert fed(STREAMS[name][start:start + 200], piece).name == name
-    assert fed(STREAMS[name], piece).name == name
+        assert board_of(STREAMS[name][start:start + 200]) == name
+    assert board_of(STREAMS[name]) == name
 
 
 def damaged(data, share):
@@ -47,7 +38,7 @@ def damaged(data, share):
 
 @pytest.mark.parametrize('name', sorted(STREAMS))
 def test_a_board_on_a_noisy_line_is_recognised(name):
-    assert fed(damaged(STREAMS[name], 0.02)).name == name
+    assert board_of(damaged(STREAMS[name], 0.02)) == name
 
 
 def half_speed(data):
@@ -62,32 +53,14 @@ def half_speed(data):
     b'I (23) boot: ESP-IDF v4.4\r\n' * 300, damaged(STREAMS['mcu'], 0.3),
     *(half_speed(STREAMS[name]) for name in sorted(STREAMS))])
 def test_other_bytes_are_nobodys(data):
-    assert fed(data).name == ''
-    one = fed(data)
-    one.finish()
-    assert one.name == ''
+    assert board_of(data) == ''
 
 
 def test_a_few_frames_are_not_enough():
-    one = fed(STREAMS['arduino'][:len(arduino.encode(arduino.Ticks(0)))])
-    one.finish()
-    assert one.name == ''
+    assert board_of(STREAMS['arduino'][:len(arduino.encode(arduino.Ticks(0)))]) == ''
 
 
-def test_the_board_that_follows_another_one_is_recognised():
-    one = fed(STREAMS['mcu'])
-    for at in range(0, 9000, 100):
-        one.feed(STREAMS['arduino'][at:at + 100])
-    assert one.name == 'arduino'
-    for _ in range(100):
-        one.feed(b'\xff' * 100)
-    assert one.name == ''
-
-
-def test_an_end_counts_a_frame_that_waited_for_more():
+def test_the_frames_behind_a_false_start_are_found():
     """The announced length of a false start covers the frames behind it."""
     frames = b''.join(mcu.encode(mcu.SensorStatus(4, 5, 6.0, 7.0, 8.0), seq) for seq in range(5))
-    one = fed(bytes((mcu.STX, 200)) + frames)
-    assert one.name == ''
-    one.finish()
-    assert one.name == 'mcu'
+    assert board_of(bytes((mcu.STX, 200)) + frames) == 'mcu'
