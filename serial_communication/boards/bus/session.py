@@ -196,16 +196,10 @@ class Session:
             self._exchange = NOTHING
         if then is Then.RETRY:
             self._unanswered[exchange.kind] += 1
-            if exchange.kind is Kind.ECHO:
-                self._echo_unanswered()
-
-    def _echo_unanswered(self) -> None:
-        count = self._unanswered[Kind.ECHO]
-        if count >= ECHO_TRIES:
-            self.state = _LOST      # SYNC tells whether there is a board; ECHO follows
-        if count == ECHO_TRIES:
-            self._log.warn('no echo', 'the board does not answer ECHO, and no call is sent before '
-                           'it does; for a board that knows no ECHO set bus/echo to false')
+            if exchange.kind is Kind.SYNC:
+                self._unanswered[Kind.ECHO] = 0     # no board answers: this tells nothing of ECHO
+            elif self._unanswered[Kind.ECHO] >= ECHO_TRIES:
+                self.state = _LOST      # SYNC tells whether a board answers; ECHO follows
 
     def _own_answered(self, reply: wire.Reply, now: float) -> None:
         """A reply was received while no request of a call is outstanding."""
@@ -224,6 +218,10 @@ class Session:
             self._unanswered[kind] = 0
             if kind is Kind.SYNC:
                 self._begun_anew(now)
+                if self._unanswered[Kind.ECHO] == ECHO_TRIES:
+                    self._log.warn(
+                        'no echo', 'the board answers SYNC but not ECHO, and no call is sent '
+                        'before it does; for a board that knows no ECHO set bus/echo to false')
                 if not self._echoes:
                     self.state = SessionState.IN_STEP
 

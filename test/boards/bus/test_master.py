@@ -742,10 +742,12 @@ def test_at_the_closing_every_call_is_told_so(session):
 def test_the_condition_says_why_calls_are_not_served(fresh):
     for script, condition in (('', Condition.SYNCHRONISING), ('connected', Condition.READY),
                               ('noise', Condition.OUT_OF_STEP), (NO_ECHO, Condition.NO_ECHO),
-                              ('+T', Condition.NO_SYNC), ('> SYNC; < SYNC', Condition.NO_ECHO),
+                              ('+T', Condition.NO_SYNC),
+                              ('> SYNC; < SYNC', Condition.OUT_OF_STEP),
                               ('fence', Condition.READY)):
         fresh.play(script)
         assert fresh.master.condition() is condition
+    assert not fresh.warnings('bus/echo'), 'a board that is off'
 
 
 # -- rule 8: calls that interrupt -----------------------------------------------------------------
