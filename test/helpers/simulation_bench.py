@@ -1,17 +1,6 @@
-"""Runs simulated boards for tests: with simulated time, or on real ports in real time."""
-import contextlib
-import threading
-from functools import partial
-
-import waiting
-from lines import ROOT  # noqa: F401
-from waiting import PATIENCE
-
-from serial_communication.transport.port import Port, PortBusy, PortError
-from serial_communication.simulation.board import Runner
+"""Runs simulated boards for tests with simulated time."""
+from serial_communication.transport.port import PortBusy, PortError
 from serial_communication.simulation.line import SimulatedLine
-
-until = partial(waiting.until, every=0.002)
 
 
 class Notes(list):
@@ -82,18 +71,3 @@ class Bench:
         frames = self.decoder.feed(self.output())
         return [frame.message for frame in frames if frame.message is not None
                 and (kind is None or isinstance(frame.message, kind))]
-
-
-@contextlib.contextmanager
-def running(board, port, **line_arguments):
-    """Context in which the board runs on a real port, in a thread; yields its journal."""
-    notes = Notes()
-    runner = Runner(board, Port(port), journal=notes, **line_arguments)
-    thread = threading.Thread(target=runner.run, name='board')
-    thread.start()
-    try:
-        yield notes
-    finally:
-        runner.stop()
-        thread.join(PATIENCE)
-        assert not thread.is_alive()

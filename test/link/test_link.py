@@ -48,18 +48,6 @@ def test_a_cause_is_logged_once_in_10_s_with_the_number_left_out(log, lines):
                        'bus: noise again (and 99 more like it)']
 
 
-def test_causes_are_limited_separately_and_one_that_returns_after_10_s_has_no_number(
-        log, lines, caplog):
-    log.warn('one', 'first')
-    log.error('two', 'second')
-    log.info('three', 'third')
-    log.warn('one', 'first')
-    log.time = 10.0
-    log.error('two', 'fourth')
-    assert lines(level=logging.INFO) == ['bus: first', 'bus: second', 'bus: third', 'bus: fourth']
-    assert [record.levelname for record in caplog.records[:3]] == ['WARNING', 'ERROR', 'INFO']
-
-
 class _Broken(logging.Logger):
     """Raises as rospy's logger does when the terminal is gone."""
 
@@ -204,55 +192,6 @@ def test_a_tap_that_raises_does_not_disturb_the_link(line, open_link, kind, name
     link.tap = tap
     until(lambda: link.frames_received > 3 or line.write(VALID[kind]))
     assert len(calls) > 3 and link.connection.reconnects == 0 and link.port.is_open
-
-
-@every_link
-def test_no_thread_is_started_after_start(line, open_link, monkeypatch, kind, names):
-    """When memory has run out, Thread.start may never return."""
-    link = open_link(kind)
-    forever = threading.Event()
-    monkeypatch.setattr(threading.Thread, 'start', lambda thread: forever.wait())
-    for _ in range(2):
-        replug(line, link)
-    receives(line, link)
-    forever.set()
-
-
-def test_a_link_survives_a_temporary_lack_of_memory(line, open_link, monkeypatch):
-    link, raised = open_link(McuLink), []
-
-    def out_of_memory(*_arguments):
-        raised.append(None)
-        raise MemoryError
-
-    with monkeypatch.context() as patch:
-        patch.setattr(threading.Event, 'wait', out_of_memory)
-        patch.setattr(link.log, 'error', out_of_memory)
-        patch.setattr(link.port, 'open', out_of_memory)
-        line.unplug()
-        # `until` is not used here, nor an Event, whose wait() raises.
-        deadline = time.monotonic() + PATIENCE
-        while len(raised) < 3:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        line.plug()
-    until(lambda: link.port.is_open)
-    receives(line, link)
-
-
-@every_link
-def test_after_an_error_that_cannot_be_logged_the_port_is_closed_and_opened_again(
-        line, logger, running, monkeypatch, kind, names):
-    link = kind(Port(line.path), logger=logger)
-    raise_once, closed = raising(MemoryError), []
-    rest = link.closed
-    monkeypatch.setattr(link, 'received', lambda *_arguments: 1 / 0)
-    monkeypatch.setattr(link.log, 'error', raise_once)
-    monkeypatch.setattr(link, 'closed', lambda now: closed.append(now) or rest(now))
-    running(link)
-    until(lambda: link.port.is_open)
-    until(lambda: closed or line.write(VALID[kind]))
-    until(lambda: link.port.is_open and link.connection.reconnects)
 
 
 def test_while_opening_hangs_idle_is_called_and_the_link_ends_when_it_is_stopped(line, logger):

@@ -6,7 +6,6 @@ import unittest
 
 import rospy
 import rostest
-from roscpp.srv import SetLoggerLevel
 from rosgraph_msgs.msg import Log
 from sensor_msgs.msg import Imu, Temperature
 from std_msgs.msg import Bool, String
@@ -184,18 +183,6 @@ class Logs(ArduinoTest):
             text = 'a line of severity %d' % severity
             message = arduino.Log(severity, text)
             ROSOUT.wait_for(self.node, text, level, lambda m=message: self.board.say(m))
-
-    def test_debug_lines_of_the_board_are_logged_once_the_service_asks_for_them(self):
-        ROSOUT.wait_for(self.node, 'the line after it', Log.INFO, lambda: (
-            self.board.say(arduino.Log(0, 'a line that nobody asked for')),
-            self.board.say(arduino.Log(1, 'the line after it'))))
-        self.assertEqual(ROSOUT.lines(self.node, 'a line that nobody asked for'), [])
-        text = 'a line that was asked for'
-        for level in 'DEBUG', 'INFO':
-            service('/serial_communication/set_logger_level', SetLoggerLevel)('rosout', level)
-            if level == 'DEBUG':
-                ROSOUT.wait_for(self.node, text, Log.DEBUG,
-                                lambda: self.board.say(arduino.Log(0, text)))
 
 
 class Tuned(ArduinoTest):

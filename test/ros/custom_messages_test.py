@@ -553,84 +553,57 @@ PUMP = {'cmd2': 0x30, 'srv_type': 'std_srvs/SetBool'}
 class Mistakes(unittest.TestCase):
     """Mistakes in rows that only ROS can reveal."""
 
-    def assert_mistake(self, group, name, row, key, said):
+    def assert_mistake(self, group, name, row, key):
         section, rows = group.split('/')
-        with self.assertRaises(ParameterError) as mistake:
+        with self.subTest(row), self.assertRaises(ParameterError) as mistake:
             check({section: {rows: {name: row}}}, '/node')
         text = str(mistake.exception)
         self.assertTrue(text.startswith(f'parameter /node/{group}/{name}{key} is '), text)
-        if said.endswith('$'):
-            self.assertTrue(text.endswith(said[:-1]), text)
-        self.assertIn(said.rstrip('$'), text)
         self.assertNotIn('\n', text)
 
     def test_wrong_types_fields_and_names_are_refused(self):
-        for changes, key, said in (
-                ({'ros_type': 'std_msgs/Flot32'}, '/ros_type', 'is not an installed type'),
-                ({'ros_type': 'ackermann_msgs/AckermannDrive'}, '/ros_type', 'is not an '
-                 'installed type'),
+        covariance = {'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation_covariance']}
+        for changes, key in (
+                ({'ros_type': 'std_msgs/Flot32'}, '/ros_type'),
+                ({'ros_type': 'std_msg/Float32'}, '/ros_type'),
                 # Modules and classes that are not messages.
-                ({'ros_type': 'rospy/struct'}, '/ros_type', 'is not an installed type'),
-                ({'ros_type': 'rospy/AnyMsg'}, '/ros_type', 'is not an installed type'),
-                ({'ros_type': 'os/path'}, '/ros_type', 'is not an installed type'),
-                ({'fields': ['dta']}, '/fields', 'has no field dta; it has data$'),
-                ({'fields': ['data.x']}, '/fields', 'must end at data, a float32 without fields'),
-                ({'fields': ['data[0]']}, '/fields', 'data is not an array'),
-                ({'layout': '<s'}, '/fields',
-                 'is float32; a text needs a string'),
-                ({'layout': '<h*'}, '/fields', 'the * in the layout needs an array of any length'),
-                ({'frame_id': 'x'}, '/frame_id', 'needs a type with a header'),
-                ({'layout': '<I', 'fields': ['@time']}, '/fields',
-                 'needs a type with a header, std_msgs/Float32 has none'),
-                ({'ros_type': 'std_msgs/String'}, '/fields',
-                 'is string, which cannot hold a number'),
-                ({'ros_type': 'std_msgs/Header', 'fields': ['stamp']}, '/fields', 'is time'),
-                ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation_covariance']}, '/fields',
-                 'a single number needs one element, such as orientation_covariance[0]'),
-                ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation_covariance[9]']},
-                 '/fields', 'orientation_covariance has elements 0 to 8'),
-                ({'ros_type': 'sensor_msgs/Imu', 'fields': ['orientation.q']}, '/fields',
-                 'geometry_msgs/Quaternion has no field q; it has x, y, z, w'),
-                ({'layout': '<h*', 'ros_type': 'sensor_msgs/Imu',
-                  'fields': ['orientation_covariance']}, '/fields', 'needs an array of any'),
-                ({'scale': 0}, '/scale', 'may be a number but 0')):
-            with self.subTest(said):
-                self.assert_mistake('arduino/messages', 'force', dict(FORCE, **changes), key, said)
-        for changes, key, said in (
-                ({'srv_type': 'std_srvs/SetBoolRequest'}, '/srv_type', 'not an installed type'),
-                ({'request': {'layout': '<?', 'fields': ['dat']}}, '/request/fields',
-                 'std_srvs/SetBoolRequest has no field dat; it has data$'),
+                ({'ros_type': 'rospy/struct'}, '/ros_type'),
+                ({'ros_type': 'rospy/AnyMsg'}, '/ros_type'), ({'ros_type': 'os/path'}, '/ros_type'),
+                ({'fields': ['dta']}, '/fields'), ({'fields': ['data.x']}, '/fields'),
+                ({'fields': ['data[0]']}, '/fields'), ({'layout': '<s'}, '/fields'),
+                ({'layout': '<h*'}, '/fields'), ({'frame_id': 'x'}, '/frame_id'),
+                ({'layout': '<I', 'fields': ['@time']}, '/fields'),
+                ({'ros_type': 'std_msgs/String'}, '/fields'),
+                ({'ros_type': 'std_msgs/Header', 'fields': ['stamp']}, '/fields'),
+                (covariance, '/fields'), (dict(covariance, layout='<h*'), '/fields'),
+                (dict(covariance, fields=['orientation_covariance[9]']), '/fields'),
+                (dict(covariance, fields=['orientation.q']), '/fields'),
+                ({'scale': 0}, '/scale')):
+            self.assert_mistake('arduino/messages', 'force', dict(FORCE, **changes), key)
+        for changes, key in (
+                ({'srv_type': 'std_srvs/SetBoolRequest'}, '/srv_type'),
+                ({'srv_type': 'std_srv/SetBool'}, '/srv_type'),
+                ({'srv_type': 'std_srvs/SetBol'}, '/srv_type'),
+                ({'request': {'layout': '<?', 'fields': ['dat']}}, '/request/fields'),
                 ({'reply': {'layout': '<?', 'fields': ['success'], 'invalid': 1}},
-                 '/reply/invalid', 'needs a float field, but success is none, and a response'),
-                ({'reply': {'layout': '<?', 'fields': ['data']}}, '/reply/fields',
-                 'std_srvs/SetBoolResponse has no field data')):
-            with self.subTest(said):
-                self.assert_mistake('bus/functions', 'pump', dict(PUMP, **changes), key, said)
+                 '/reply/invalid'),
+                ({'reply': {'layout': '<?', 'fields': ['data']}}, '/reply/fields')):
+            self.assert_mistake('bus/functions', 'pump', dict(PUMP, **changes), key)
 
     def test_constants_that_the_type_cannot_hold_are_refused(self):
         battery = dict(FORCE, ros_type='sensor_msgs/BatteryState', fields=['voltage'])
-        for constants, key, said in (
-                ({'presnt': True}, '', 'has no field presnt; it has header, voltage'),
-                ({'present': 1}, '/present', 'is 1 (int), may be true or false$'),
-                ({'charge': True}, '/charge', 'is True (bool), may be a number$'),
-                ({'charge': 'full'}, '', 'is float32; a text needs a string$'),
-                ({'charge': 1e39}, '/charge', 'is a number that its ROS field cannot hold$'),
-                ({'power_supply_status': 256}, '/power_supply_status', 'field cannot hold$'),
-                ({'power_supply_status': 0.5}, '/power_supply_status', 'field cannot hold$'),
-                ({'location': 5}, '', 'is string, which cannot hold a number$'),
-                ({'cell_voltage': 3.7}, '', 'needs one element, such as cell_voltage[0]$'),
-                ({'header.stamp': 0}, '', 'is time'),
-                ({'header.frame_id': 'base'}, '/header.frame_id', 'set by the key frame_id$'),
-                ({'voltage': 12.0}, '', 'is in fields, too$')):
-            with self.subTest(said):
-                self.assert_mistake('arduino/messages', 'pack', dict(battery, constants=constants),
-                                    '/constants' + key, said)
+        for constants, key in (
+                ({'presnt': True}, ''), ({'present': 1}, '/present'), ({'charge': True}, '/charge'),
+                ({'charge': 'full'}, ''), ({'charge': 1e39}, '/charge'),
+                ({'power_supply_status': 256}, '/power_supply_status'),
+                ({'power_supply_status': 0.5}, '/power_supply_status'), ({'location': 5}, ''),
+                ({'cell_voltage': 3.7}, ''), ({'header.stamp': 0}, ''),
+                ({'header.frame_id': 'base'}, '/header.frame_id'), ({'voltage': 12.0}, '')):
+            self.assert_mistake('arduino/messages', 'pack', dict(battery, constants=constants),
+                                '/constants' + key)
         self.assert_mistake('arduino/messages', 'pack', dict(
             battery, layout='<h*', fields=['cell_voltage'], constants={'cell_voltage[1]': 3.7}),
-            '/constants', 'overlaps with cell_voltage$')
-        self.assert_mistake('bus/functions', 'tank', {
-            'cmd2': 1, 'ros_type': 'sensor_msgs/FluidPressure', 'period': 1,
-            'constants': {'varianc': 1.0}}, '/constants', 'has no field varianc')
+            '/constants')
         check({'arduino': {'messages': {'pack': dict(battery, constants={
             'charge': float('nan'), 'cell_voltage[1]': 4, 'power_supply_status': 255})}}}, '/node')
 
@@ -638,42 +611,31 @@ class Mistakes(unittest.TestCase):
         yaw = 'pose.pose.orientation.yaw'
         odometry = {'type': 32, 'ros_type': 'nav_msgs/Odometry', 'layout': '<h', 'fields': [yaw],
                     'frame_id': 'odom', 'child_frame_id': 'base'}
-        for changes, key, said in (
+        for changes, key in (
                 ({'ros_type': 'sensor_msgs/Temperature', 'fields': ['temperature']},
-                 '/child_frame_id', 'needs a type with child_frame_id, as nav_msgs/Odometry'),
-                ({'constants': {'child_frame_id': 'base'}}, '/constants', 'is a key of the row'),
-                ({'constants': {yaw.replace('yaw', 'w'): 1}}, '/constants', 'overlaps with ' + yaw),
+                 '/child_frame_id'),
+                ({'constants': {'child_frame_id': 'base'}}, '/constants'),
+                ({'constants': {yaw.replace('yaw', 'w'): 1}}, '/constants'),
                 ({'constants': {yaw.replace('yaw', 'roll'): 1}}, '/constants/' + yaw.replace(
-                    'yaw', 'roll'), 'in fields only$'),
-                ({'constants': {'pose.covariance': [1] * 7}}, '/constants/pose.covariance',
-                 'may be a list of 36, or of 6, its diagonal: pose.covariance is float64[36]$'),
+                    'yaw', 'roll')),
+                ({'constants': {'pose.covariance': [1] * 7}}, '/constants/pose.covariance'),
                 ({'constants': {'pose.covariance': [1] * 6, 'pose.covariance[0]': 1}},
-                 '/constants', 'overlaps with'),
-                ({'constants': {'pose.covariance': [1] * 5 + ['x']}}, '/constants',
-                 'a text needs a string'),
-                ({'constants': {'header.seq': [1]}}, '/constants/header.seq', 'is no array$'),
-                ({'layout': '<hh', 'fields': [yaw, yaw.replace('yaw', 'z')]}, '/fields',
-                 'overlaps with'),
-                ({'fields': ['pose.pose.yaw']}, '/fields', 'has no field yaw'),
-                ({'fields': [yaw + '.x']}, '/fields', 'must end at yaw, a float64 without fields'),
-                ({'layout': '<s'}, '/fields', 'a text needs a string')):
-            with self.subTest(said):
-                self.assert_mistake('arduino/messages', 'pose', dict(odometry, **changes), key,
-                                    said)
-        self.assert_mistake('arduino/messages', 'k', {
-            'type': 32, 'ros_type': 'sensor_msgs/CameraInfo', 'layout': '<h', 'fields': [''],
-            'constants': {'P': [1, 1, 1]}}, '/constants/P', 'may be a list of 12: P is float64')
+                 '/constants'),
+                ({'constants': {'pose.covariance': [1] * 5 + ['x']}}, '/constants'),
+                ({'constants': {'header.seq': [1]}}, '/constants/header.seq'),
+                ({'layout': '<hh', 'fields': [yaw, yaw.replace('yaw', 'z')]}, '/fields'),
+                ({'fields': ['pose.pose.yaw']}, '/fields'), ({'fields': [yaw + '.x']}, '/fields'),
+                ({'layout': '<s'}, '/fields')):
+            self.assert_mistake('arduino/messages', 'pose', dict(odometry, **changes), key)
         check({'arduino': {'messages': {'pose': dict(odometry, layout='<hh', fields=[
             yaw, yaw.replace('yaw', 'pitch')], constants={'pose.covariance': [0.5] * 36})}}},
             '/node')
 
     def test_values_that_overlap_in_the_message_are_refused(self):
-        for layout, fields, said in (
-                ('<hh*', ['position[2]', 'position'], 'position[2]'),
-                ('<hh', ['position[0]', 'position[00]'], 'position[0]')):
+        for layout, fields in (('<hh*', ['position[2]', 'position']),
+                               ('<hh', ['position[0]', 'position[00]'])):
             self.assert_mistake('arduino/messages', 'arm', dict(
-                FORCE, ros_type='sensor_msgs/JointState', layout=layout, fields=fields),
-                '/fields', f"is '{said}' (str), overlaps with {fields[1]}")
+                FORCE, ros_type='sensor_msgs/JointState', layout=layout, fields=fields), '/fields')
         check({'arduino': {'messages': {'arm': dict(
             FORCE, ros_type='sensor_msgs/JointState', layout='<hhh*',
             fields=['position[0]', 'position[2]', 'velocity'])}}}, '/node')
@@ -687,18 +649,16 @@ class Mistakes(unittest.TestCase):
                 open(os.path.join(folder, 'broken_msgs', 'msg', '_Broken.py'), 'w').close()
                 with mock.patch.object(sys, 'path', [*sys.path, folder]):
                     self.assert_mistake('arduino/messages', 'force', dict(
-                        FORCE, ros_type='broken_msgs/Broken'), '/ros_type',
-                                        'not an installed type')
+                        FORCE, ros_type='broken_msgs/Broken'), '/ros_type')
 
     def test_reserved_and_repeated_names_are_refused(self):
         for group, name, row in (
                 ('arduino/messages', 'voltage', FORCE), ('arduino/messages', 'lift', FORCE),
                 ('mcu/messages', 'range_1', FORCE), ('bus/functions', 'gimbal', PUMP)):
-            self.assert_mistake(group, name, row, '', 'may not be a name that the bridge uses')
+            self.assert_mistake(group, name, row, '')
         given = {'arduino': {'port': '/dev/a', 'messages': {'both': FORCE}},
                  'bus': {'port': '/dev/b', 'functions': {'both': PUMP}}}
-        with self.assertRaisesRegex(ParameterError, '/both is the name of bus/functions/both and '
-                                                    'of arduino/messages/both'):
+        with self.assertRaisesRegex(ParameterError, '/both is the name of .* and of '):
             resolved_names(check(given, '/node')[0], given)
         # These names differ: mcu/imu is not ~imu, and a topic may have the name of a parameter.
         check({'arduino': {'messages': {'status': FORCE, 'port': dict(FORCE, type=33)}},

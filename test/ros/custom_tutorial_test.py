@@ -18,7 +18,6 @@ from boards import Output, PACKAGE, PATIENCE, Topic, own_folder, until
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 FILE, ANNOUNCED = (os.path.join(ROOT, 'doc', name + '.md')
                    for name in ('custom_messages', 'announcements'))
-HELLO = 'firmware/protocol/examples/Hello/Hello.ino'
 PORT = '/dev/ttyUSB0'          # the pages' names of the port of a board …
 CHIP = '/tmp/my_robot'         # … and of an emulated chip
 VALUES = {'force': (Float32, 'a6', 500, 145.0), 'light': (UInt16, 'a0', 512, 512)}
@@ -161,21 +160,6 @@ class Tutorial(unittest.TestCase):
             topic = Topic('/serial_communication/' + topic, kind)
             topic.first(lambda m: abs(m.data - value) < 1e-3, what=f'is {value}')
             topic.close()
-
-    def test_the_pages_have_the_firmware_of_the_sketches(self):
-        with open(os.path.join(ROOT, 'firmware', 'ctrl_board', 'ctrl_board.ino'),
-                  encoding='utf-8') as file:
-            source = file.read()
-        shown = [text for language, name, text in blocks(FILE) if language == 'cpp' and not name]
-        self.assertGreater(len(shown), 1)
-        for text in shown:
-            for part in text.strip('\n').split('\n\n'):
-                self.assertIn(part, source)
-        first, last = [text for _, name, text in blocks(ANNOUNCED) if name.endswith('.ino')]
-        self.assertLessEqual(len(first.splitlines()), 10)
-        self.assertIn(('cpp', '', first), blocks(os.path.join(ROOT, 'README.md')))
-        with open(os.path.join(ROOT, HELLO), encoding='utf-8') as file:
-            self.assertTrue(file.read().endswith(last))
 
 
 if __name__ == '__main__':

@@ -1,7 +1,6 @@
 #!/usr/bin/python3
 """Several robots under one master: each bridge reads and moves only its own boards."""
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -183,11 +182,6 @@ class Fleet(unittest.TestCase):
             prefix = f'robot_{robot.number}/'
             self.assertEqual(frames(), {(prefix + 'base_link', prefix + child) for child in (
                 'imu', 'mcu_imu', 'range_1', 'range_2')})
-
-    def test_lines_of_the_log_name_their_robot(self):
-        def named():
-            return set(re.findall(r'\[INFO\] \[[\d.]+\] (\S+): ', self.output.text()))
-        until(lambda: {f'/{robot.node}' for robot in self.robots} <= named(), 'each has a line')
 
     def test_simulated_boards_of_several_robots_have_different_ports_and_names(self):
         config = roslaunch.config.load_config_default(

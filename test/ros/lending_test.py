@@ -11,7 +11,7 @@ import rospy
 import rostest
 from std_srvs.srv import Empty, Trigger
 
-from boards import (ERROR, NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, WARN, BoardsTest, Bridge,
+from boards import (NOT_SENT, PACKAGE, PATIENCE, SPEED_0_PACKET, WARN, BoardsTest, Bridge,
                     BusBoard, CarBoard, Diagnostics, Line, own_folder, program, service, until,
                     until_in_step)
 from serial_communication.boards.arduino.wire import Ticks
@@ -242,14 +242,6 @@ class LendingTest(BoardsTest):
             self.board.forget()
             self.check_victim(victim, process)
 
-    def test_kill_while_the_port_is_given_back(self):
-        """Right after the end of the command."""
-        for victim in self.kill_release, self.kill_bridge:
-            process = self.borrow(2.0)
-            until(lambda process=process: not self.children_of(process), 'the command ends',
-                  every=0.0005)
-            self.check_victim(victim, process)
-
     @staticmethod
     def kill_release(process):
         process.kill()
@@ -265,31 +257,11 @@ class LendingTest(BoardsTest):
         process.wait(PATIENCE)
         self.drive()
 
-    def test_kill_of_the_command(self):
-        process = self.borrow()
-        os.kill(self.children_of(process)[0], signal.SIGKILL)
-        self.ends(process, 137)
-        self.check_back(4.0)
-
     def test_kill_of_the_program(self):
         process = self.borrow()
         command, = self.children_of(process)
         process.kill()
         until(lambda: not os.path.exists('/proc/%d' % command), 'its command is killed, too')
-        self.check_back()
-
-    def test_kill_of_the_program_whose_command_has_children(self):
-        """They go on, as an upload of arduino-cli does, and nothing is written to it."""
-        process = self.program('sh', '-c', sys.executable + ' -c "$0" "$1" 600; true', BORROW,
-                               '{port}')
-        self.assertEqual(process.stdout.readline(), 'open\n')
-        self.check_lent()
-        command, = self.children_of(process)
-        child, = self.children_of(command)
-        process.kill()
-        self.check_state(ERROR, 'another program still has it open')
-        self.assertEqual(bytes(self.board.wire), b'')
-        os.kill(child, signal.SIGUSR1)
         self.check_back()
 
     def test_kill_of_the_bridge(self):
@@ -303,35 +275,6 @@ class LendingTest(BoardsTest):
         process.terminate()
         process.wait(PATIENCE)
         self.check_back(4.0)
-
-    def test_kill_of_the_bridge_that_does_not_return(self):
-        process = self.borrow()
-        self.bridge.kill()
-        self.assertIn('the loan is not renewed', process.stdout.readline())
-        os.kill(self.children_of(process)[0], signal.SIGUSR1)
-        self.ends(process, 0)
-        self.start_car_bridge()
-        self.check_back()
-
-    def test_a_bridge_that_was_suspended_during_a_loan_does_not_disturb_it(self):
-        process = self.borrow()
-        self.bridge.process.send_signal(signal.SIGSTOP)
-        time.sleep(LOAN)
-        self.bridge.process.send_signal(signal.SIGCONT)
-        self.check_state(WARN, 'lent to python3')
-        self.assertEqual(bytes(self.board.wire), b'')
-        process.terminate()
-        self.check_back()
-
-    def test_a_program_that_was_suspended_during_a_loan_goes_on_with_it(self):
-        process = self.borrow()
-        process.send_signal(signal.SIGSTOP)
-        self.check_state(ERROR, 'another program still has it open')
-        process.send_signal(signal.SIGCONT)
-        self.check_state(WARN, 'lent to python3')
-        self.assertEqual(bytes(self.board.wire), b'')
-        process.terminate()
-        self.check_back()
 
 
 if __name__ == '__main__':

@@ -15,7 +15,6 @@ from serial_communication.boards.mcu import wire as mcu
 
 HALF = sqrt(0.5)
 SENSOR_FRAME = bytes.fromhex('020c109c2f003a0000000dfff3009803')     # SEQ 156
-WRAPPED_FRAME = bytes.fromhex('020c10fffffffe1fb8882823b0b93c03')    # range 1 timed out, yaw 350
 ADC_FRAME = bytes.fromhex('020e01ea000000000f0000001f0290006903')    # SEQ 234
 GOT = 'connected', 'valid', 'seq', 'vl53_1', 'vl53_2'
 

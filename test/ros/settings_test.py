@@ -13,7 +13,6 @@ import dynamic_reconfigure.client
 import rospy
 import rostest
 import yaml
-from dynamic_reconfigure.srv import Reconfigure
 
 from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Master, Rosout,
                     again_if_stalled, own_folder, program, until)
@@ -23,7 +22,7 @@ from serial_communication.framing.announcement import chunks_of
 from serial_communication.framing.settings import SettingMessage, message_of
 from serial_communication.link.settings import BoardSettings
 from serial_communication.link.sparing_log import SparingLog
-from serial_communication.ros.settings import request_of, serve
+from serial_communication.ros.settings import serve
 
 NAME = '/' + PACKAGE + '/settings/arduino'
 ROWS = {
@@ -250,37 +249,6 @@ class ServerTest(unittest.TestCase):
             self.start(rows)
             self.assertEqual(self.settings.shown()['angle'], (None, rounded, False))
             self.end()
-
-    def test_a_row_whose_positive_minimum_rounds_down_starts_without_a_value(self):
-        self.start({'angle': {'setting': 1, 'layout': '<f', 'minimum': 0.0174532925}})
-        self.assertEqual(self.settings.shown()['angle'], (None, None, True))
-        self.assertEqual(self.settings.wanted, {})
-
-    def test_a_limited_value_does_not_take_the_place_of_another_clients_value(self):
-        def answer(_names, _seconds):
-            for now in 100.0, 101.0, 102.0:
-                self.settings.send(now, lambda message: None, True)
-                self.settings.received(self.kinds[-1](1, 5.0), True)
-
-        self.start(ROWS)
-        kp = next(row for row in self.settings.rows if row.name == 'kp')
-        self.log.warn.side_effect = lambda *_: self.settings.want('kp', 3.0)     # just then
-        with mock.patch.object(self.settings, 'wait', answer):
-            rospy.ServiceProxy(self.name + '/set_parameters', Reconfigure)(request_of(kp, 9.0))
-        self.assertIn('kp cannot be 9.0: the board uses 5.0', self.log.warn.call_args[0][1])
-        self.assertEqual(self.settings.shown()['kp'], (5.0, 3.0, False))
-
-    def test_a_parameter_that_could_not_be_set_is_set_with_the_next_change(self):
-        self.start(ROWS)
-        with mock.patch.object(rospy, 'set_param', side_effect=OSError('no route')):
-            self.settings.want('kp', 2.0)
-        self.assertIn('kp cannot be set now (no route)', self.log.warn.call_args[0][1])
-        self.assertFalse(rospy.has_param(self.name))
-        self.settings.want('ramp', 300)
-        self.assertEqual(rospy.get_param(self.name), {'kp': 2.0, 'ramp': 300})
-        with mock.patch.object(rospy, 'set_param') as set_param:
-            self.settings.want('ramp', 400)
-        set_param.assert_called_once_with('~settings/arduino/ramp', 400)
 
 
 class OtherBridges(unittest.TestCase):

@@ -7,7 +7,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 import unittest
@@ -142,25 +141,6 @@ class Tuning(unittest.TestCase):
         self.assertRegex(used, r"'kd': 0\.0.*'ki': 200\.0.*'kp': 40\.0")
         self.assertIn('ki: 200.0', wanted)
         self.assertIn('kp: 40.0', wanted)
-
-    def test_the_transcript_is_what_a_run_shows(self):
-        terminal, = blocks('console')
-        session, = blocks('pycon')
-        for command, shown in re.findall(r'^\$ (.*)\n((?:[^$].*\n)*)', terminal, re.M):
-            self.run_line(command.rstrip(' &'), shown)
-        path = os.path.join(self.folder, 'session')
-        with open(path, 'w') as file:
-            file.write(session)
-        done = subprocess.run([sys.executable, '-m', 'doctest', path], timeout=2 * PATIENCE,
-                              stdout=subprocess.PIPE, stderr=subprocess.STDOUT, encoding='utf-8')
-        self.assertEqual((done.returncode, done.stdout), (0, ''))
-
-    def test_the_page_has_the_list_of_the_sketch(self):
-        sketch = read(SKETCH)
-        blocks = re.findall(r'^```cpp\n((?:.*\n)*?)```$', read(PAGE), re.M)
-        self.assertEqual(len(blocks), 2)
-        for block in blocks:
-            self.assertIn(block, sketch)
 
 
 if __name__ == '__main__':

@@ -1,16 +1,12 @@
 """Faults on demand: each kind happens, can be repeated, and is noted in the journal."""
-import json
 
 import pytest
-from simulation_bench import Bench, running, until
+from simulation_bench import Bench
 
-from serial_communication.boards.mcu.link import McuLink
-from serial_communication.transport.port import Port, PortBusy
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.arduino.simulator import ModelCar
-from serial_communication.simulation.board import FRAME_TIMEOUT
 from serial_communication.boards.bus.simulator import ControlBoard
 from serial_communication.simulation.faults import KINDS, EveryBoard, Faults, for_every_board, parse
 from serial_communication.boards.mcu.simulator import SensorBoard
@@ -77,18 +73,6 @@ def test_a_fault_changes_frames_at_its_rate_and_the_journal_has_both(kind, is_it
     assert bench.line.faults.counts == {kind: len(hit)}
 
 
-@pytest.mark.parametrize('kind, noted, writes', [
-    ('drop', {'sent': False, 'why': 'drop', 'ok': False}, 0),
-    ('double', {'copies': 2, 'ok': True}, 1)])
-def test_a_dropped_frame_is_not_written_and_a_doubled_one_is_in_one_write(kind, noted, writes):
-    bench = sensors(kind + '=0.2')
-    bench.run(100)
-    hit, written = sent(bench, kind), [data for _, data in bench.wire]
-    assert 300 < len(hit) < 500 and all(noted.items() <= fields.items() for fields in hit)
-    assert len(written) == 2000 - len(hit) * (1 - writes)
-    assert [written.count(raw(fields) * 2) for fields in hit] == [writes] * len(hit)
-
-
 @pytest.mark.parametrize('kind', ['delay', 'late'])
 def test_a_delayed_frame_is_not_overtaken(kind):
     bench = sensors('%s=0.02' % kind)
@@ -109,28 +93,6 @@ def test_a_late_reply_is_sent_after_its_delay():
     assert bench.messages() == []
     bench.run(0.02)
     assert bench.messages() == [bus.Reply(bus.SYNC)]
-
-
-def test_the_duration_of_a_fault_can_be_set():
-    bench = sensors('delay=1:0.3-0.4')
-    assert bench.line.faults.rates['delay'].seconds == (0.3, 0.4)
-
-
-def test_a_repeated_reply_is_sent_before_the_next_reply():
-    bench = control('repeat=0.3:0.02')
-    bench.feed(SYNC)
-    bench.run(0.1)
-    for number in range(200):
-        bench.feed(bus.encode_request(bus.echo(b'%d' % number)))
-        bench.run(0.01)
-    bench.run(1)
-    hit = sent(bench, 'repeat')
-    assert 30 < len(hit) < 90 and all(fields['copies'] == 2 and fields['ok'] for fields in hit)
-    assert [fields['n'] for fields in bench.notes.of('copy')] == [fields['n'] for fields in hit]
-    twice = {fields['n'] for fields in hit}
-    expected = [raw(fields) for fields in bench.notes.of('tx')
-                for _ in range(2 if fields['n'] in twice else 1)]
-    assert [bus.encode_reply(message) for message in bench.messages()] == expected
 
 
 # -- what a board receives ----------------------------------------------------------------------
@@ -207,38 +169,6 @@ def test_a_reset_sends_chatter_and_clears_the_state():
     assert boots > 4 and logs.count(arduino.Log(1, 'IMU ready')) == boots
 
 
-def test_input_during_a_reset_is_lost():
-    bench = control('reset=6/min:1')
-    assert bench.run(100, until=lambda: bench.notes.of('fault'))
-    bench.feed(SYNC)
-    bench.run(0.9)
-    assert not bench.board.synchronised
-    assert bench.notes.of('rx-lost') == [{'data': SYNC.hex(), 'why': 'reset'}]
-
-
-def test_boards_with_events_go_on_over_a_real_tty(cable):
-    """Bytes that arrive during a stall wait in the kernel, and are read after it."""
-    seqs = []
-    with running(SensorBoard(rate=200), cable.far,
-                 faults=Faults(parse(['reset=600/min:0.01', 'silence=300/min:0.02'],
-                                     SensorBoard), 1)):
-        link = McuLink(Port(cable.near), on_status=lambda message, seq, stamp: seqs.append(seq))
-        link.start()
-        try:
-            until(lambda: len(seqs) > 50, 'frames')
-        finally:
-            link.stop()
-            link.join(10.0)
-    with running(ControlBoard(), cable.far,
-                 faults=Faults(parse(['stall=200/min:0.2'], ControlBoard), 1)) as notes:
-        port = Port(cable.near)
-        port.open()
-        until(lambda: notes.of('fault'), 'the stall')
-        port.write(SYNC)
-        until(lambda: notes.of('request'), 'the reading')
-        port.close()
-
-
 # -- repeating a run, and its journal -----------------------------------------------------------
 
 
@@ -263,72 +193,6 @@ def test_the_same_seed_repeats_a_run(make_one):
     assert first.wire != other.wire
 
 
-def test_faults_of_one_kind_do_not_change_those_of_another():
-    alone, both = sensors('flip=0.1'), sensors('flip=0.1', 'delay=0.1', 'silence=1/min')
-    alone.run(50)
-    both.run(50)
-    numbers = [fields['n'] for fields in sent(both, 'flip')]     # some may still wait
-    assert numbers and numbers == [fields['n'] for fields in sent(alone, 'flip')][:len(numbers)]
-
-
-def frames_received(bench):
-    """The frames that the bridge's decoder finds in the written bytes, at their times."""
-    decoder, frames, last = bench.decoder, [], bench.now
-    for time, data in bench.wire + [(float('inf'), b'')]:
-        while decoder.pending and time >= last + FRAME_TIMEOUT:
-            frames += decoder.give_up()
-        frames += decoder.feed(data)
-        last = time
-    return frames
-
-
-HEAVY = ['cut=0.1', 'lose=0.1', 'flip=0.1', 'insert=0.1', 'drop=0.05', 'delay=0.01:0.01']
-
-
-@pytest.mark.parametrize('make_one', [sensors, car, control])
-@pytest.mark.parametrize('seed', range(3))
-def test_a_frame_noted_as_ok_is_found_by_the_decoder(make_one, seed):
-    """In order; damage may have made other frames by chance."""
-    bench = exercise(make_one(*HEAVY, seed=seed))
-    found = iter([(frame.raw if bench.board.NAME != 'arduino' else frame.type, frame.data)
-                  for frame in frames_received(bench) if not frame.cause])
-    expected = [(raw(fields), None) if 'raw' in fields
-                else (fields['type'], bytes.fromhex(fields['data']))
-                for fields in bench.notes.of('tx') if fields['ok']]
-    assert len(expected) > 100
-    for first, second in expected:
-        assert any(first == one and second in (None, two) for one, two in found), (first, second)
-
-
-def test_an_intact_frame_behind_a_damaged_one_is_not_noted_as_ok():
-    bench = car('cut=0.2')
-    bench.run(3)
-    notes = bench.notes.of('tx')
-    behind = [after for before, after in zip(notes, notes[1:])
-              if 'cut' in before.get('faults', ()) and 'faults' not in after]
-    assert behind and all(fields['behind_damage'] and not fields['ok'] for fields in behind)
-
-
-def test_a_frame_that_the_port_does_not_take_is_noted_as_not_sent():
-    bench = sensors()
-    bench.busy = True
-    bench.run(1)
-    bench.busy, bench.closed = False, True
-    bench.run(1)
-    bench.line.closed(bench.now)
-    whys = [fields['why'] for fields in bench.notes.of('tx')]
-    assert set(whys) == {'busy', 'closed'}
-    assert all(fields['sent'] is False and not fields['ok'] for fields in bench.notes.of('tx'))
-
-
-def test_frames_that_wait_when_the_port_closes_are_lost():
-    bench = sensors('delay=1:5')
-    bench.run(1)
-    bench.line.closed(bench.now)
-    assert len(bench.notes.of('tx')) == 20
-    assert {fields['why'] for fields in bench.notes.of('tx')} == {'closed'}
-
-
 # -- the line's speed ---------------------------------------------------------------------------
 
 
@@ -341,13 +205,6 @@ def test_a_baud_rate_limits_how_fast_bytes_are_written():
     assert bench.now - start == pytest.approx((4 + 1000 + 5) * 10 / 115200, rel=0.02)
     assert max(len(data) for _, data in bench.wire) <= 16
     assert bench.messages()[-1] == bus.Reply(bus.ECHO, bytes(1000))
-
-
-def test_at_115200_baud_the_car_keeps_its_rate():
-    bench = car(baud=115200)
-    bench.run(10.01)
-    kinds = [type(message) for message in bench.messages()]
-    assert kinds.count(arduino.Imu) >= 1000
 
 
 # -- the board's clock, and an adapter -----------------------------------------------------------
@@ -373,25 +230,6 @@ def test_every_measurement_has_the_time_of_a_clock_that_drifts(make_one, ppm):
     assert len(measured) >= 40
     assert [ticks for _, ticks in measured] == pytest.approx(
         [(time - 1000.0) * (1e6 + ppm) for time, _ in measured], abs=1)
-
-
-@pytest.mark.parametrize('make_one', [car, sensors])
-def test_the_clock_begins_again_with_a_reset(make_one):
-    bench = make_one('drift=0', 'reset=6/min:1')
-    assert bench.run(60, until=lambda: len(bench.notes.of('boot')) == 2)
-    bench.output()
-    bench.decoder.reset()
-    bench.run(0.15)
-    first, *_ = [frame.ticks for frame in bench.decoder.feed(bench.output()) if frame.ticks]
-    assert first == pytest.approx(50_000 if make_one is sensors else 10_000, abs=1)
-
-
-@pytest.mark.parametrize('make_one', [car, sensors])
-def test_without_a_drift_no_board_sends_its_time(make_one):
-    bench = make_one('flip=0.01')
-    bench.run(3)
-    kinds = [type(message) for message in bench.messages()]
-    assert kinds and arduino.Time not in kinds and mcu.Time not in kinds
 
 
 @pytest.mark.parametrize('ms', [1, 16])
@@ -444,25 +282,3 @@ def test_faults_for_every_board_are_left_out_where_a_board_cannot_have_them():
     assert for_every_board('', SensorBoard) == []
     assert for_every_board('drift=-20 batch=16', ControlBoard) == ['batch=16']
     assert for_every_board('drift=-20 batch=16', ModelCar) == ['drift=-20', 'batch=16']
-
-
-def test_journal_fields_are_json():
-    bench = exercise(control('all'))
-    assert json.dumps(list(bench.notes))
-
-
-def test_a_frame_sent_in_part_is_noted_as_not_sent_and_the_next_as_behind_damage():
-    pieces, lost = [], []
-
-    def write(data):
-        pieces.append(data)
-        if len(pieces) > 1 and len(pieces[-2]) == 16 and not lost:    # the second half of an IMU
-            lost.append(data)
-            raise PortBusy('the port takes no data')
-
-    bench = car(baud=115200)
-    bench.line._write = write
-    bench.run(0.1)
-    first, second = [fields for fields in bench.notes.of('tx') if not fields['ok']]
-    assert first['type'] == 9 and first['sent'] is False and first['why'] == 'busy'
-    assert second['n'] == first['n'] + 1 and second['behind_damage']

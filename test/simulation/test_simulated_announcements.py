@@ -3,7 +3,8 @@ import argparse
 import os
 
 import pytest
-from simulation_bench import ROOT, Bench
+from lines import ROOT
+from simulation_bench import Bench
 
 from serial_communication.boards import BOARDS, description
 from serial_communication.boards.arduino import wire as arduino

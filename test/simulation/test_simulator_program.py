@@ -8,11 +8,11 @@ import sys
 from functools import partial
 
 import pytest
+from lines import ROOT
 from programs import started
-from simulation_bench import PATIENCE, ROOT, until
+from waiting import PATIENCE, until
 
 from serial_communication.boards.bus import wire as bus
-from serial_communication.simulation.journal import Journal
 
 SIMULATOR = os.path.join(ROOT, 'scripts', 'simulator')
 
@@ -52,14 +52,6 @@ def tty():
     yield os.ttyname(far), near
     os.close(near)
     os.close(far)
-
-
-@pytest.mark.parametrize('arguments, says', [
-    (['--help'], 'socat_pair'), (['bus', '--help'], '--lift-speed'),
-    (['arduino', '--help'], '--calibration-time'), (['mcu', '--help'], '--adc')])
-def test_help_is_printed(arguments, says):
-    result = run(*arguments)
-    assert result.returncode == 0 and says in result.stdout and not result.stderr
 
 
 @pytest.mark.parametrize('arguments, says', [
@@ -141,24 +133,6 @@ def test_a_board_of_another_package_runs_and_has_its_help(elsewhere, start, tty)
     assert 'stall' not in says      # a fault that a board that only sends cannot have
 
 
-@pytest.mark.parametrize('text, says', [
-    (None, "importing 'beacon.simulator' failed: ModuleNotFoundError"),
-    ('1 / 0', "importing 'beacon.simulator' failed: ZeroDivisionError: division by zero ("),
-    ('BOARD = 5', "the module 'beacon.simulator' has no BOARD")])
-def test_a_package_without_a_simulator_is_reported_in_one_line(elsewhere, text, says):
-    if text is not None:
-        (elsewhere / 'simulator.py').write_text(text)
-    result = run('beacon', '--port', 'x')
-    assert result.returncode == 2 and says in result.stderr
-    assert len(result.stderr.splitlines()) == 1, result.stderr
-
-
-def test_a_journal_that_cannot_be_opened_is_reported():
-    result = run('bus', '--port', 'x', '--journal', '/nowhere/at/all')
-    assert result.returncode == 1
-    assert result.stderr == 'journal /nowhere/at/all: No such file or directory\n'
-
-
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_a_working_simulator_cleanly(start, tty, tmp_path, number):
     simulator = start('arduino', '--port', tty[0], '--journal', 'journal', '--fault', 'all',
@@ -202,48 +176,4 @@ def port_answers(descriptor):
     assert answer == bus.encode_reply(bus.Reply(bus.SYNC))
 
 
-def test_under_roslaunch_a_wrong_argument_is_reported_once_and_waits_for_a_signal(start):
-    simulator = start('bus', '--port', '/nowhere/ttyV1', '--baud', 'fast',
-                      '__name:=bus_board', '__log:=/nowhere/bus_board.log')
-    until(simulator.text)
-    with pytest.raises(subprocess.TimeoutExpired):
-        simulator.process.wait(1.0)     # without __log it ends in a few milliseconds
-    assert simulator.end(signal.SIGINT) == 2
-    line, = simulator.text().splitlines()
-    assert "'fast'" in line and line.endswith('Try: simulator bus --help')
-
-
-def test_it_goes_on_after_the_reader_of_its_output_is_gone(tty):
-    simulator = subprocess.Popen([sys.executable, SIMULATOR, 'bus', '--port', tty[0]],
-                                 stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    simulator.stdout.readline()
-    simulator.stdout.close()
-    port_answers(tty[1])
-    simulator.terminate()
-    errors = simulator.stderr.read()
-    simulator.stderr.close()
-    assert simulator.wait(PATIENCE) == 0 and errors == b''
-
-
 # -- the journal --------------------------------------------------------------------------------
-
-
-def test_the_journal_writes_in_batches(tmp_path):
-    path = tmp_path / 'journal'
-    journal = Journal(str(path))
-    journal.write(10.0, 'tx', {'n': 1})
-    assert journal.flush_due(10.1) == 10.5 and path.read_text() == ''
-    assert journal.flush_due(10.5) is None
-    assert path.read_text() == '{"t":10.0,"ev":"tx","n":1}\n'
-    for number in range(1000):
-        journal.write(11.0, 'tx', {'n': number})
-    assert len(path.read_text().splitlines()) == 1001
-    journal.close()
-    journal.write(12.0, 'tx', {})      # after close: no effect
-
-
-def test_the_journal_reports_a_full_disk():
-    journal = Journal('/dev/full')
-    journal.write(1.0, 'tx', {})
-    journal.close()
-    assert 'No space left' in journal.trouble

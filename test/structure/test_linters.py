@@ -63,6 +63,10 @@ def test_xml_is_well_formed():
         *ROOT.glob('config/*.urdf'), *ROOT.glob('test/ros/*.test'))
 
 
+def test_systemd_accepts_the_boot_unit():
+    assert run('systemd-analyze', 'verify', ROOT / 'config' / 'serial_communication.service') == ''
+
+
 def test_catkin_lint_finds_nothing():
     run('catkin_lint', '-W2', '--strict', *['--ignore=' + rule for rule in IGNORED], ROOT,
         SERIAL_COMMUNICATION_VIEW='yes')     # the dependencies of view.launch count

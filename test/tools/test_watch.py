@@ -3,7 +3,6 @@ from types import SimpleNamespace as Message
 
 import pytest
 from serial_communication.boards import BOARDS, description
-from serial_communication.tools.watch import state as watch
 from serial_communication.tools.watch import topics
 from serial_communication.tools.watch.state import BridgeState, LinkState, TopicState
 from serial_communication.tools.watch.topics import BridgeTopic
@@ -140,49 +139,6 @@ def test_links_of_other_packages_are_listed_last():
 # -- words ---------------------------------------------------------------------------------------
 
 
-def imu(covariance):
-    zero = Message(x=0.0, y=0.0, z=0.0)
-    return Message(orientation=Message(x=0.0, y=0.0, z=0.7071068, w=0.7071068),
-                   angular_velocity=zero, angular_velocity_covariance=[covariance],
-                   linear_acceleration=Message(x=0.1, y=0.0, z=9.81),
-                   linear_acceleration_covariance=[covariance])
-
-
-def test_built_in_types_as_text():
-    assert words('sensor_msgs/Imu', imu(-1)) == 'rpy 0.0 0.0 90.0 deg'
-    assert words('sensor_msgs/Imu', imu(0)) == 'rpy 0.0 0.0 90.0 deg, 0.10 0.00 9.81 m/s^2'
-    for metres, said in ((float('nan'), 'no reading'), (float('inf'), 'farther than 2.00 m'),
-                         (float('-inf'), 'nearer than 0.03 m'), (1.2345, '1.234 m')):
-        assert words('sensor_msgs/Range',
-                     Message(range=metres, min_range=0.03, max_range=2.0)) == said
-    assert words('serial_communication/SerialMsg', Message(
-        link='bus', direction=1, text='lift up 20 mm', error='')) == 'bus sent lift up 20 mm'
-    sensors = Message(connected=True, valid=True, crc_error_count=2, seq=7, vl53_1=470, vl53_2=80,
-                      yaw=1.25, last_frame_age_sec=3.0)
-    assert words('serial_communication/McuStatus2', sensors) == (
-        '470 and 80 mm, yaw 1.2 deg, valid, 2 CRC errors, seq 7')
-    sensors.yaw, sensors.valid = float('nan'), False
-    assert 'angles unknown' in words('serial_communication/McuStatus2', sensors)
-    sensors.connected = False
-    assert words('serial_communication/McuStatus2', sensors) == 'silent for 3.0 s'
-    assert words('serial_communication/Voltage', Message(value=8.071)) == '8.07 V'
-    assert words('serial_communication/Ticks', Message(value=2)) == '2 in 10 ms'
-    assert words('serial_communication/Environment', Message(
-        smoke=124, temperature=23.144, humidity=43.4)) \
-        == 'smoke 124, temperature 23.14 degrees C, humidity 43.40 %'
-    assert words('sensor_msgs/RelativeHumidity', Message(relative_humidity=0.434)) == '43.40 %'
-    assert words('std_msgs/Bool', Slots(data=True)) == 'yes'
-
-
-def test_any_type_as_text():
-    message = Slots(header=Slots(seq=1), name='left\nwheel', speed=Slots(x=1.0, y=2.0),
-                    raw=b'\1\2', count=12345678, since=Message(to_sec=lambda: 1.5))
-    assert words('some_msgs/Wheel', message) == (
-        'name left wheel, speed.x 1, speed.y 2, raw[0] 1, raw[1] 2, count 12345678, '
-        'since 1.500 s')
-    assert len(BridgeTopic('any', 'x/Y').values(Slots(ranges=[1.0] * 1000))) == 16
-
-
 def test_paths_that_a_message_does_not_have_are_left_out():
     topic = BridgeTopic('any', 'x/Y', fields=('position[2]', 'speed.z', 'name'))
     assert [value.text() for value in topic.values(Slots(position=[1, 2], name='n'))] == ['n']
@@ -229,12 +185,6 @@ def test_the_rate_covers_the_last_few_seconds():
     assert each.rate == 0.0
 
 
-@pytest.mark.parametrize('seconds, text', [(0.34, '0.3 s'), (12.0, '12 s'), (119, '119 s'),
-                                           (300, '5 min'), (10800, '3 h')])
-def test_ages_as_text(seconds, text):
-    assert watch.ago(seconds) == text
-
-
 # -- the bridge ----------------------------------------------------------------------------------
 
 
@@ -269,34 +219,6 @@ def test_a_topic_keeps_its_state_while_its_type_is_the_same():
     assert bridge.topic('~imu').count == 0
 
 
-def test_trouble_names_its_cause():
-    bridge = BridgeState('/car/bridge', master='http://robot:11311')
-    assert bridge.trouble(5.0) == 'no answer from the ROS master at http://robot:11311'
-    bridge.master_answered(False, 5.0)
-    assert bridge.trouble(5.0) == 'no bridge /car/bridge at http://robot:11311'
-    bridge.master_answered(True, 5.0)
-    assert bridge.trouble(5.0) == 'the bridge /car/bridge has reported nothing yet'
-    bridge.set_link('bus', reported(0, 5.0))
-    assert bridge.trouble(5.0) == '' and bridge.all_ok(5.0)
-    bridge.master_answered(True, 10.0)
-    assert bridge.trouble(10.0) == 'the bridge /car/bridge has reported nothing for 5.0 s'
-    assert bridge.trouble(17.0).endswith('http://robot:11311 for 7.0 s')
-    bridge.master_answered(False, 20.0)      # as after a restart of the master
-    bridge.set_link('bus', reported(0, 21.0))
-    assert bridge.trouble(21.0) == ''
-    bridge.set_link('bus', reported(0, 24.0))
-    bridge.master_answered(False, 24.0)
-    assert 'restart the bridge' in bridge.trouble(24.0)
-
-
-def test_a_bridge_that_starts_after_its_monitor_is_no_trouble():
-    bridge = BridgeState('/car/bridge', master='http://robot:11311')
-    bridge.master_answered(False, 5.0)
-    bridge.master_answered(False, 15.0)
-    bridge.set_link('bus', reported(0, 15.5))
-    assert bridge.trouble(16.0) == ''
-
-
 def test_all_ok_requires_every_link_and_no_trouble():
     bridge = BridgeState()
     bridge.master_answered(True, 5.0)
@@ -310,9 +232,3 @@ def test_all_ok_requires_every_link_and_no_trouble():
     assert not bridge.all_ok(5.0)     # no status of it yet
     bridge.set_link('gps', reported(0, 1.0))
     assert not bridge.all_ok(5.0)     # reported too long ago
-
-
-@pytest.mark.parametrize('module', [topics, watch], ids=lambda each: each.__name__)
-def test_the_module_imports_no_ros(module):
-    assert not [name for name in vars(module)
-                if name in ('rospy', 'rosgraph', 'roslib', 'genpy', 'time')]

@@ -4,10 +4,10 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from simulation_bench import Bench, running, until
+from simulation_bench import Bench
 
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.simulator import TICKS_PER_METRE, ModelCar
+from serial_communication.boards.arduino.simulator import ModelCar
 
 HEARTBEAT = arduino.encode(arduino.Heartbeat())
 
@@ -42,31 +42,6 @@ def test_rates():
     bench.run(30.0001)
     assert counts(bench.messages()) == {arduino.Ticks: 3000, arduino.SteeringAngle: 3000,
                                         arduino.Imu: 3000, arduino.Voltage: 30}
-
-
-def test_lose_stops_loses_the_first_speed_0_of_each_stop():
-    bench = make(lose_stops=True)
-    zero = arduino.encode(arduino.SpeedCommand(0))
-    for _ in range(2):
-        drive(bench, 0.05, 300)
-        bench.feed(zero)
-        assert bench.board.motor_on
-        bench.feed(zero)
-        assert not bench.board.motor_on
-        bench.feed(zero)
-    assert [(fields['data'], fields['why']) for fields in bench.notes.of('rx-lost')] == [
-        (zero.hex(), 'lose-stops')] * 2
-
-
-def test_lose_stops_loses_no_other_command_whose_value_is_0():
-    bench = make(lose_stops=True)
-    drive(bench, 0.5, speed=300, steering=0)
-    assert bench.board.motor_on and bench.board.steering < 1500
-    assert not bench.notes.of('rx-lost')
-
-
-def test_sends_a_log_message_when_it_is_ready():
-    assert make().messages(arduino.Log) == [arduino.Log(1, 'IMU ready')]
 
 
 def test_motor_stops_30_ms_after_the_last_heartbeat():
@@ -112,15 +87,6 @@ def test_speed_follows_with_a_lag_and_saturates():
     assert bench.board.velocity == 0
 
 
-def test_ticks_match_the_wheel():
-    bench = make()
-    drive(bench, 2, speed=700)
-    drive(bench, 2, speed=-300)
-    drive(bench, 3, speed=0)
-    ticks = sum(message.value for message in bench.messages(arduino.Ticks))
-    assert ticks == int(bench.board.distance * TICKS_PER_METRE) > 1000
-
-
 def test_imu_follows_the_motion_which_a_longer_pulse_turns_to_the_right():
     bench = make()
     drive(bench, 1)
@@ -141,28 +107,6 @@ def test_imu_follows_the_motion_which_a_longer_pulse_turns_to_the_right():
 
     turned = (yaw(turning[-1]) - yaw(turning[-101])) % (2 * math.pi)
     assert turned == pytest.approx(rate % (2 * math.pi), abs=0.1)
-
-
-def test_steering_is_fed_back():
-    bench = make()
-    drive(bench, 0.1)
-    assert abs(bench.messages(arduino.SteeringAngle)[-1].value - 512) < 5
-    drive(bench, 0.1, steering=2000)
-    assert 560 < bench.messages(arduino.SteeringAngle)[-1].value < 720    # on its way
-    drive(bench, 0.5)
-    assert abs(bench.messages(arduino.SteeringAngle)[-1].value - 812) < 5
-    drive(bench, 0.5, steering=60000)
-    assert bench.board.steering == 2000
-
-
-def test_leds():
-    bench = make()
-    bench.feed(arduino.encode(arduino.LedCommand('left')))
-    assert bench.board.led == 'left' and bench.said[-1] == 'LED: left'
-    bench.messages()
-    bench.feed(arduino.encode(arduino.LedCommand('purple')))
-    assert bench.board.led == 'left'
-    assert bench.messages(arduino.Log) == [arduino.Log(2, 'unknown LED command')]
 
 
 def test_bytes_received_during_a_calibration_are_read_after_it():
@@ -186,14 +130,6 @@ def test_bytes_received_during_a_calibration_are_read_after_it():
     assert (True, 'SPEED 400') in motor(bench)      # the bridge has to avoid this
 
 
-def test_reset_stops_the_motor():
-    bench = make()
-    drive(bench, 1, speed=500)
-    bench.board.power_off(bench.now)
-    bench.board.power_on(bench.now)
-    assert motor(bench)[-1] == (False, 'reset')
-
-
 @given(st.lists(st.tuples(st.binary(max_size=80), st.floats(0, 0.1))))
 def test_works_after_any_input(chunks):
     bench = make(calibration_time=0.2)
@@ -203,15 +139,3 @@ def test_works_after_any_input(chunks):
     bench.run(0.5)
     drive(bench, 0.1, speed=100)
     assert bench.board.motor_on and bench.messages(arduino.Imu)
-
-
-def test_a_time_in_the_past_is_not_recorded_as_late(cable):
-    """As for a frame that waits in the receive buffer during a calibration."""
-    class DueInThePast(ModelCar):
-        def advance(self, now):
-            super().advance(now)
-            return now - 1000.0
-
-    with running(DueInThePast(), cable.far) as notes:
-        until(lambda: len(notes.of('tx')) > 3, 'measurements')
-    assert not [fields for fields in notes.of('late') if fields['by'] > 900]

@@ -42,39 +42,3 @@ def test_without_its_imu_the_angles_are_unknown():
     messages = [frame.message for frame in frames(bench)]
     assert messages and not any(message.angles_known for message in messages)
     assert any(message.range_1 != mcu.RANGE_TIMED_OUT for message in messages)
-
-
-def test_adc():
-    bench = Bench(SensorBoard(adc=True), mcu.Decoder())
-    bench.run(10)
-    statuses = [frame.message for frame in frames(bench)]
-    assert all(isinstance(status, mcu.AdcStatus) for status in statuses)
-    assert all(0 <= value <= 4095 for status in statuses for value in status)
-    assert len(set(statuses)) > 100
-
-
-def test_reset_restarts_the_sequence():
-    bench = Bench(SensorBoard(), mcu.Decoder())
-    bench.run(1)
-    bench.board.power_off(bench.now)
-    bench.board.power_on(bench.now)
-    frames(bench)
-    bench.run(0.06)
-    assert [frame.number for frame in frames(bench)] == [0]
-
-
-def test_input_is_ignored():
-    bench = Bench(SensorBoard(), mcu.Decoder())
-    bench.feed(bytes(range(256)) * 10)
-    bench.run(1)
-    assert len(frames(bench)) >= 19
-
-
-def test_journal_has_every_frame():
-    bench = Bench(SensorBoard(), mcu.Decoder())
-    bench.run(2)
-    notes = bench.notes.of('tx')
-    assert [bytes.fromhex(fields['raw']) for fields in notes] == [
-        frame.raw for frame in frames(bench)]
-    assert [fields['seq'] for fields in notes] == list(range(len(notes)))
-    assert all(fields['ok'] for fields in notes)

@@ -1,2 +1,0 @@
-"""The fixture of these tests."""
-from simulation_fixtures import cable  # noqa: F401
