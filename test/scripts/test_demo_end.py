@@ -1,7 +1,6 @@
 """scripts/demo ends by itself where it cannot go on, and leaves no process and no file."""
 import contextlib
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -80,15 +79,3 @@ def test_a_reader_that_has_ended_ends_the_demo_without_a_word(folder):
         output, errors = demo.communicate(timeout=PATIENCE)
     assert (demo.returncode, errors) == (128 + signal.SIGPIPE, '')
     assert output.splitlines()[1].endswith('the bridge is there')
-
-
-@pytest.mark.skipif(not shutil.which('avr-g++'), reason='gcc-avr is not installed')
-def test_firmware_that_does_not_build_ends_the_demo_with_the_last_lines_of_make(folder, tmp_path):
-    build = tmp_path / 'firmware'
-    with started(folder, [DEMO, '--avr'], free_master(), FIRMWARE_BUILD=str(build),
-                 ARDUINO='/nowhere') as demo:
-        output, errors = demo.communicate(timeout=PATIENCE)
-    assert demo.returncode == 1 and 'Launching' not in output
-    assert '/nowhere/cores/arduino is missing' in errors
-    assert errors.endswith('avr_board: the firmware did not build; see above, and '
-                           f'{build}/make.log for all.\n')
