@@ -26,10 +26,10 @@ def fixture_folder(tmp_path):
 def run(folder, text):
     """Source environment.bash and run a text."""
     set_up = 'set -euo pipefail; . scripts/environment.bash; '
+    path = f'{folder}/bin:{os.environ["PATH"]}'
     return subprocess.run(['/bin/bash', '-c', set_up + text, 'demo'], cwd=folder, timeout=60,
                           stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          text=True,
-                          env={**os.environ, 'PATH': f'{folder}/bin:{os.environ["PATH"]}'})
+                          text=True, env={**os.environ, 'PATH': path})
 
 
 @pytest.mark.parametrize('distro, names', [
