@@ -117,13 +117,24 @@ export class Model {
     this.links = new Map();
     this.log = [];
     this.calls = new Map();   // number -> call
-    this.drive = {held: false, words: ''};
+    this.drives = false;      // a page
     this.controls = null;
   }
 
   topic(name) {
     if (!this.topics.has(name)) this.topics.set(name, new TopicData(name));
     return this.topics.get(name);
+  }
+
+  /** Whether STOP holds: by /diagnostics, or by a later answer to ~stop. */
+  stopped(now) {
+    const links = [...this.links.values()].filter((link) => !link.stale(now));
+    let at = Math.max(...links.map((link) => link.at));
+    let held = links.some((link) => link.values.condition === 'stopped');
+    for (const {name, outcome, began, took, arguments: {data}} of this.calls.values()) {
+      if (name === '~stop' && outcome === 'done' && began + took > at) [at, held] = [began + took, data];
+    }
+    return links.length > 0 && held;
   }
 
   take(update) {
@@ -138,7 +149,7 @@ export class Model {
       this.controls = update.controls ?? null;
     }
     this._now = update.now;
-    for (const key of ['node', 'trouble', 'known', 'boards', 'drive', 'controls']) {
+    for (const key of ['node', 'trouble', 'known', 'boards', 'drives', 'controls']) {
       if (key in update) this[key] = update[key];
     }
     for (const [name, changes] of Object.entries(update.topics ?? {})) {

@@ -9,7 +9,7 @@
  */
 import {APPEARED, hasJustAppeared} from '../appeared.js';
 import {card, h, updateAttribute, updateText} from '../dom.js';
-import {whyNot} from '../reasons.js';
+import {STOPPED, whyNot} from '../reasons.js';
 
 const TOPICS = '~speed, ~steering';
 const IDLE = 'hold to drive';
@@ -29,10 +29,9 @@ const FIRST_REPEAT = 3000;  // ms from a press to its first repeat, at most; Win
 const NEXT_REPEAT = 1000;   // ms between two repeats, at most; the slowest setting: 500 ms
 
 export class Drive {
-  constructor(connection, announce) {
+  constructor(connection) {
     this.topics = [];
     this._connection = connection;
-    this._announce = announce;
     this._hold = 0;             // number of presses
     this._timer = null;         // while held
     this._pressedAt = -Infinity;    // the latest press of the pad, ms
@@ -62,13 +61,14 @@ export class Drive {
 
   draw(model, now) {
     this.element.hidden = model.controls === null;
-    const reason = whyNot(model, this._connection, now, 'arduino');
+    const reason = whyNot(model, this._connection, now, 'arduino', true);
     if (reason !== this._reason && !this.held) updateText(this._words, reason || IDLE);
     this._reason = reason;
     if (this.held && this._connection.silence() > SILENCE) this._end(PANEL_SILENT);
+    if (this.held && reason === STOPPED) this._end(STOPPED);
     updateAttribute(this._pad, 'data-held', this.held);
     updateAttribute(this._pad, 'aria-disabled', reason && !this.held ? 'true' : null);
-    updateText(this._note, model.drive.held && this._connection.alive ? 'a page drives' : TOPICS);
+    updateText(this._note, model.drives && this._connection.alive ? 'a page drives' : TOPICS);
   }
 
   /** The panel refused a drive command. */
