@@ -67,6 +67,7 @@ class Link:
         self.frames_received = 0           # valid ones
         self.frames_sent = 0
         self.last_frame_at: Optional[float] = None   # monotonic
+        self.is_stopped = False            # by ~stop: whatever moves is refused
         self.announcement = BoardAnnouncement(self.log)
         self.unknown_bytes = UnknownBytes(
             (other for other in other_boards if other.name != name), port.baud, self.PRINT_TO)
@@ -174,6 +175,13 @@ class Link:
             raise PortError(f'nothing received from the board for {limit:g} s')
         return due
 
+    def stop_motion(self) -> str:
+        """Stop at once all that moves; `is_stopped` is true already. From any thread.
+
+        Returns what is not stopped, or could not be written; '' if nothing.
+        """
+        return ''
+
     # -- diagnostics ------------------------------------------------------------------
 
     def report(self, now: float) -> Report:
@@ -185,10 +193,14 @@ class Link:
         if level == OK and new_errors:
             level, summary = WARN, self.unknown_bytes.printed(now) or (
                 f'{new_errors} error{"s" if new_errors > 1 else ""} in the last second')
+        name = self.condition_name(now)
+        if self.is_stopped:
+            level, summary, name = max(level, WARN), f'stopped by ~stop; {summary}', 'stopped'
         counted = dict(self.decoder.errors)
         values = [
             ('port', self.port.url),
             ('state', summary),
+            ('condition', name),
             ('frames received', self.frames_received),
             ('frames sent', self.frames_sent),
             ('bytes received', self.port.bytes_received),
@@ -221,6 +233,18 @@ class Link:
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
             return WARN, f'open, {self.unknown_bytes.meaning(now) or "the board is silent"}'
         return OK, 'open'
+
+    def condition_name(self, now: float) -> str:
+        """The condition in one word that does not change, for programs."""
+        if self.port.loan and self.port.loan.runs:
+            return 'lent'
+        if not self.port.is_open:
+            return 'closed'
+        return self.condition_of_board(now)
+
+    def condition_of_board(self, now: float) -> str:
+        """Likewise, while the port is open."""
+        return 'ok' if self.talks(now) else 'silent'
 
     def error_count(self) -> int:
         """Errors of all causes so far."""

@@ -16,6 +16,8 @@ NOT_SENT = 253     # refused by the bridge: nothing was sent
 TIMEOUT = 254      # not known: executed once or not at all, unless it may be repeated
 LOOK = 'check the robot before you repeat it'   # advice where the outcome is not known
 
+STOPPED = 'stopped: call ~stop with data: false'     # why a command is refused meanwhile
+
 _NAMES = {_ERROR: 'ERROR', _INVALID: 'INVALID', NOT_SENT: 'not sent', TIMEOUT: 'not known'}
 # A program that passes such a text on may put words and a colon before it.
 _TEXT = re.compile(r'(?:^|: )status (\d{1,3}) \([^)]*\): (.*)', re.DOTALL)

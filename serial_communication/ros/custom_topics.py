@@ -22,6 +22,7 @@ from .publishing import publisher, wanted
 
 _NODE_SERVICES = {'get_loggers', 'set_logger_level'}    # every rospy node has them
 ODOMETRY = 'nav_msgs/Odometry'
+MOTIONS = 'geometry_msgs/Twist', 'geometry_msgs/TwistStamped'     # ~stop sends their zero
 _LABEL = 100     # characters of a command's values in a warning
 
 
@@ -32,6 +33,15 @@ class RosMessage(NamedTuple):
     kind: Type[LayoutMessage]    # its message class, with the limits of the ROS fields, too
     message_class: Any           # of ROS
     fields: RosFields
+
+    @property
+    def is_motion(self) -> bool:
+        """Whether it is a command that ~stop has to stop."""
+        return self.custom.is_command and self.custom.ros_type in MOTIONS
+
+    def read(self, message: Any) -> LayoutMessage:
+        """Return what is sent to the board; ValueError for a value out of range."""
+        return self.kind(*self.fields.read(message))
 
 
 def message_rows(board: Description, given: Any) -> List[RosMessage]:
@@ -58,7 +68,12 @@ def resolve(custom: CustomMessage, prefix: str) -> RosMessage:
                        f'{custom.key}/constants')
     kind = custom.kind if custom.is_command else type(custom.name, (custom.kind,), {
         '__slots__': (), 'LAYOUT': fields.narrowed(custom.kind.LAYOUT)})
-    return RosMessage(custom, kind, found, fields)
+    row = RosMessage(custom, kind, found, fields)
+    if row.is_motion:
+        reason = row.read(found()).implausible()
+        if reason:
+            raise RowError(f'{custom.key}/minimum', reason, 'has to allow the zero of a motion')
+    return row
 
 
 def refuse_taken(custom: Any, prefix: str) -> None:
@@ -192,19 +207,28 @@ class MessageTopics:
         return ValuePublisher(self._prefix + row.custom.name, row.message_class, row.fields,
                               row.custom, self._p)
 
-    def _take_command(self, row: RosMessage, link: Any, age_limit: float) -> CommandTopic:
-        def read(message: Any) -> Any:
-            return row.kind(*row.fields.read(message))
+    def _take_command(self, row: RosMessage, link: Any, age_limit: float) -> Callable[[], None]:
+        """Subscribe to a custom command; return what ends that."""
+        zero = row.read(row.message_class()) if row.is_motion else None
+        topic = CommandTopic(self._prefix + row.custom.name, row.message_class,
+                             lambda message: link.command(row.read(message)),
+                             lambda message: str(row.read(message))[:_LABEL], link.log, age_limit,
+                             stops=lambda message: zero is not None and row.read(message) == zero)
+        if zero is None:
+            return topic.close
 
-        return CommandTopic(self._prefix + row.custom.name, row.message_class,
-                            lambda message: link.command(read(message)),
-                            lambda message: str(read(message))[:_LABEL], link.log, age_limit)
+        def close() -> None:
+            topic.close()
+            link.remove_motion(zero)
+
+        link.add_motion(zero)
+        return close
 
     def _add(self, row: RosMessage, link: Any, age_limit: float) -> Callable[[], None]:
         """Make the topic or the subscription of an announced row; return what takes it down."""
         row.kind.ANNOUNCED = True
         if row.custom.is_command:
-            return self._take_command(row, link, age_limit).close
+            return self._take_command(row, link, age_limit)
 
         def take_down() -> None:
             link.decoder.remove_message(row.kind)

@@ -36,6 +36,7 @@ from .rospy_mends.master_watch import MasterWatch, merged
 from .rospy_mends.shutdown import is_shutdown_requested
 from .settings import PAUSE as SETTINGS_PAUSE
 from .settings import serve as serve_settings
+from .stop import Stop
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
@@ -226,6 +227,7 @@ class Bridge:
         self._mounts = publish_mounts(p['base_frame_id'], {
             values[f'{name}_frame_id']: values[f'{name}_mount']
             for board, values in boards for name in board.MOUNTS})
+        self.stop_service = Stop(self._stop_order())
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
         log = SparingLog('announcements', _LOGGER)
@@ -247,6 +249,7 @@ class Bridge:
         for interface in self._interfaces:
             with _errors_naming(type(interface)):
                 interface.link.start()
+        self.stop_service.advertise()
         for interface in self._interfaces:
             with _errors_naming(type(interface)):
                 interface.advertise()
@@ -255,9 +258,12 @@ class Bridge:
         self._settings_worker.start()
         self._diagnostics.start()
 
+    def _stop_order(self) -> List[Link]:
+        return sorted(self._links, key=lambda link: not link.STOPS_FIRST)
+
     def stop(self) -> None:
         """Send SPEED 0 first, then stop everything; takes 1 s at most, even if a port hangs."""
-        for link in sorted(self._links, key=lambda link: not link.STOPS_FIRST):
+        for link in self._stop_order():
             link.stop()
         deadline = time.monotonic() + _SHUTDOWN
         for link in self._links:

@@ -118,6 +118,17 @@ class ArduinoLink(Link):
                           'too long' if too_long else 'value') from None
         self.output.command(message)
 
+    def add_motion(self, zero: LayoutMessage) -> None:
+        """Have ~stop send this message: the zero of a command that moves something."""
+        self.output.add_motion(zero)
+
+    def remove_motion(self, zero: LayoutMessage) -> None:
+        """Undo `add_motion`."""
+        self.output.remove_motion(zero)
+
+    def stop_motion(self) -> str:
+        return self.output.stop_motions()
+
     # -- start and stop -------------------------------------------------------------------
 
     def start(self) -> None:
@@ -134,6 +145,7 @@ class ArduinoLink(Link):
     # -- hooks --------------------------------------------------------------------------
 
     def opened(self, now: float) -> None:
+        self.output.opened()
         self.heartbeat.port_opened(clock())
         if self.output.calibration:
             self.output.calibration.port_opened(clock())
@@ -241,6 +253,9 @@ class ArduinoLink(Link):
         gap = (f'heartbeat gap of {self._recent_gap * 1e3:.1f} ms: after 30 ms the board stops '
                'its motor; see "Let the bridge come first" in doc/troubleshooting.md')
         return WARN, gap if level == OK else f'{summary}; {gap}'
+
+    def condition_of_board(self, now: float) -> str:
+        return 'calibrating' if self.calibrating else super().condition_of_board(now)
 
     def extra_values(self) -> List[Tuple[str, Any]]:
         return [('heartbeats sent', self.heartbeats_sent),

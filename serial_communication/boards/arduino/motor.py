@@ -8,9 +8,9 @@ from typing import Optional
 
 from ...link.stall import StallWatch
 
-_REPEAT_PERIOD = 0.05    # s between the repetitions of a stop: the line may lose any of them
-_REPEAT_FOR = 1.0        # s after the first SPEED 0 for which it is repeated
-_EARLY = 0.005           # s by which a repetition may be early, instead of one heartbeat late
+REPEAT_PERIOD = 0.05    # s between the repetitions of a stop: the line may lose any of them
+REPEAT_FOR = 1.0        # s after the first SPEED 0 for which it is repeated
+EARLY = 0.005           # s by which a repetition may be early, instead of one heartbeat late
 STALL = 0.5              # s without a run of the heartbeat thread; fixed, whatever speed_timeout is
 
 
@@ -46,9 +46,9 @@ class Motor:
             self._timeout_at = now + self._speed_timeout
             return
         if self.moving:
-            self._repeat_until = now + _REPEAT_FOR
+            self._repeat_until = now + REPEAT_FOR
         self.moving = self.speed_unknown = False
-        self._repeat_at = now + _REPEAT_PERIOD
+        self._repeat_at = now + REPEAT_PERIOD
 
     def forget_speed(self) -> None:
         """What was written may not have been sent: output was dropped, or the port closed."""
@@ -65,8 +65,8 @@ class Motor:
             return Stop.UNKNOWN_SPEED
         if self.moving:
             return Stop.TIMED_OUT if self._speed_timeout and now >= self._timeout_at else None
-        repeat_at = self._repeat_at - _EARLY
-        if now > self._repeat_until + _REPEAT_PERIOD:    # missed repetitions are not sent later
+        repeat_at = self._repeat_at - EARLY
+        if now > self._repeat_until + REPEAT_PERIOD:    # missed repetitions are not sent later
             return None
         is_due = board_reads and repeat_at <= now and repeat_at <= self._repeat_until
         return Stop.REPEATED if is_due else None

@@ -6,17 +6,19 @@ import threading
 import time
 import traceback
 from collections import deque
-from typing import Deque, Optional, Tuple
+from typing import Deque, Dict, Optional, Tuple
 
 from ...framing.layout import LayoutMessage
+from ...framing.settings import SettingMessage
 from ...link.link import Link, Refused
+from ...link.outcome import STOPPED
 from ...transport.output_watch import LONGEST_WAIT, OutputWatch
 from ...transport.pace import clock
 from ...transport.port import PortBusy, PortError
 from . import wire
 from .calibration import Calibration
 from .line_time import LineTime
-from .motor import STALL, Motor, Stop
+from .motor import EARLY, REPEAT_FOR, REPEAT_PERIOD, STALL, Motor, Stop
 
 _LONGEST_BURST = 0.05    # s of wire time that may wait; then more commands are refused
 _LONGEST_WAIT_NETWORK = 1.0     # s, instead of LONGEST_WAIT: a network may pause
@@ -28,6 +30,7 @@ _STALLED = 'it may have waited while the bridge stalled; send it again'
 _SPEED_0 = wire.SpeedCommand(0)
 _HEARTBEAT = wire.Heartbeat()
 _HEARTBEAT_PACKET = wire.encode(_HEARTBEAT)
+_STILL = wire.SteeringCommand, wire.LedCommand, SettingMessage    # what ~stop does not refuse
 _OVERHEAD = 4            # bytes of a packet besides its data, at most
 
 
@@ -57,6 +60,10 @@ class CarOutput:
         self._stands = False                 # what waited was dropped, and nothing has left since
         self._line = LineTime(10.0 / link.port.baud)
         self._beat_at = float('-inf')        # when its thread sent the latest heartbeat
+        # The zero of each motion besides the speed, by type: a row of type geometry_msgs/Twist.
+        self._zeros: Dict[int, LayoutMessage] = {}
+        self._zeros_until: Dict[int, float] = {}     # those that are repeated by now
+        self._zeros_at = 0.0                 # when they are repeated next
         self.extra_beats = 0                 # heartbeats among commands, sent by other threads
 
     def command(self, message: LayoutMessage) -> None:
@@ -80,8 +87,40 @@ class CarOutput:
                 if busy:
                     self._stop_later(message)
                 raise Refused(f'{message} refused: {error}', 'busy' if busy else 'port') from None
+            self._zeros_until.pop(message.TYPE, None)
             if calibrates:
                 self.calibration = Calibration(self._calibration_timeout, now)
+
+    def add_motion(self, zero: LayoutMessage) -> None:
+        """~stop sends this message, too, which stops what commands of its type move."""
+        with self.lock:
+            self._zeros[zero.TYPE] = zero
+            if self._link.is_stopped:
+                self._begin_zeros()
+
+    def remove_motion(self, zero: LayoutMessage) -> None:
+        """Undo `add_motion`."""
+        with self.lock:
+            self._zeros.pop(zero.TYPE, None)
+            self._zeros_until.pop(zero.TYPE, None)
+
+    def stop_motions(self) -> str:
+        """Send all zeros, and repeat them for 1 s; return why they were not sent, or ''."""
+        with self.lock:
+            self.motor.forget_speed()       # so SPEED 0 is repeated
+            if self.calibration:
+                return ''       # the zeros were sent before it, and the board reads nothing
+            self._begin_zeros()
+            return self._stop() or ('the port takes no data' if self._stands else '')
+
+    def _begin_zeros(self) -> None:
+        self._zeros_until = dict.fromkeys(self._zeros, clock() + REPEAT_FOR)
+        self._zeros_at = 0.0
+
+    def _moves(self, message: LayoutMessage) -> bool:
+        """Whether it may make the board move something; of a custom command nobody knows."""
+        return not (isinstance(message, _STILL) or wire.is_speed_0(message)
+                    or self._zeros.get(message.TYPE) == message)
 
     def _stop_later(self, message: LayoutMessage) -> None:
         """If this is SPEED 0, which the port does not take: send it as soon as the port does. The
@@ -98,6 +137,8 @@ class CarOutput:
             link.announcement.refuse_unless_current(f'{message}')
         if self.calibration:
             return _CALIBRATES, 'calibrating'
+        if link.is_stopped and self._moves(message):
+            return STOPPED, 'stopped'
         # A call counts as from a stall sooner than a topic's command, as on the bus.
         if self.motor.ignores_commands(now) or (
                 calibrates and link.connection.may_be_from_a_stall()):
@@ -133,6 +174,8 @@ class CarOutput:
                 if why is Stop.TIMED_OUT:
                     self.warn('speed timeout', f'no speed command for {self._speed_timeout:g} s: '
                               'sent SPEED 0')
+                if calibration is None:
+                    self._send_zeros(now)
                 if heartbeat_due:
                     now = clock()       # the bridge may have stalled since
                     self._check_for_stall(now)
@@ -182,6 +225,12 @@ class CarOutput:
             if not self._has_ended:     # else it would drop the last SPEED 0
                 self._drop()     # also at the end of the silence: the heartbeats that waited
             self.is_held = is_held
+
+    def opened(self) -> None:
+        """The port was opened: the board may hold a motion, which ~stop stops."""
+        with self.lock:
+            if self._link.is_stopped:
+                self._begin_zeros()
 
     def closed(self) -> None:
         """The port was closed; when it opens again, any thread may be the first to write."""
@@ -247,17 +296,32 @@ class CarOutput:
         if message is _HEARTBEAT:
             self._line.wrote_heartbeat()
 
-    def _stop(self) -> None:
+    def _stop(self) -> str:
+        """Send SPEED 0, and the other zeros that are due; return why that failed, or ''."""
         try:
             try:
                 self._send(_SPEED_0, clock())
             except PortBusy:        # what waits is older, and may be a speed
                 self._drop_backlog()
                 self._send(_SPEED_0, clock())
-        except (PortBusy, PortError):
-            pass
-        except Exception:  # pylint: disable=broad-except
+            self._send_zeros(clock())
+        except (PortBusy, PortError) as error:
+            return str(error)
+        except Exception as error:  # pylint: disable=broad-except
             self.warn('fault', traceback.format_exc())
+            return f'{error!r}'
+        return ''
+
+    def _send_zeros(self, now: float) -> None:
+        if not self._zeros_until or now < self._zeros_at:
+            return
+        self._zeros_at = now + REPEAT_PERIOD - EARLY
+        for type_, until in list(self._zeros_until.items()):
+            zero = self._zeros[type_]
+            if now > until:
+                del self._zeros_until[type_]
+            elif not zero.ANNOUNCED or self._link.announcement.is_current:
+                self._send(zero, now)
 
     def _check_for_stall(self, now: float) -> None:
         # If the link's thread stalls, so do the threads that receive commands: all have the same

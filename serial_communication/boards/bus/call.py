@@ -48,6 +48,7 @@ class Call:
         self.expires = float('inf')    # when it is given up if it still waits
         self.outcome: Optional[Outcome] = None
         self._lock = threading.Lock()
+        self.written = threading.Event()     # it was sent, or is over
         self._done = threading.Event()
 
     @property
@@ -101,6 +102,7 @@ class Call:
                 if outcome.status == wire.INVALID and self.may_be_done:
                     outcome = unknown_after_invalid(outcome)
                 self.state, self.outcome = CallState.DONE, outcome
+        self.written.set()
         self._done.set()
 
     def give_up(self, why: str) -> None:

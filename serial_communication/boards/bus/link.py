@@ -1,11 +1,12 @@
 """The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
+import threading
 import time
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...framing.stream import IMPLAUSIBLE, LENGTH, Frame
 from ...link.connection import PortState
 from ...link.link import ERROR, OK, WARN, Link
-from ...link.outcome import NOT_SENT, Outcome
+from ...link.outcome import NOT_SENT, STOPPED, Outcome
 from ...link.stall import LONGEST_SLEEP, STALL
 from ...transport import pace
 from ...transport.port import Port, PortBusy, PortError
@@ -16,6 +17,10 @@ from .master import STALLED, Master
 from .polls import Polls
 from .session import Condition
 
+# Of the conditions in which the board is synchronised, for programs.
+_WORDS = {Condition.READY: 'ok', Condition.OUT_OF_STEP: 'out_of_step',
+          Condition.NO_ECHO: 'no_echo'}
+_WRITTEN = 0.3      # s for a stop to be written
 _BLOCKED = 0.05     # s until the next try, after the port took no data
 
 
@@ -50,7 +55,8 @@ class BusLink(Link):
         self.settings = settings
         self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log,
                              drop_output=self._drop_output, begun_anew=self._board_begun_anew,
-                             still_announces=lambda: self.announcement.is_current)
+                             still_announces=lambda: self.announcement.is_current,
+                             is_stopped=lambda: self.is_stopped)
         self.lending.under_way = self.master.under_way
         self._on_environment = lambda outcome: on_environment and on_environment(
             wire.Environment.unpack(outcome.data), outcome.stamp)
@@ -60,6 +66,9 @@ class BusLink(Link):
             lambda index: self.master.submit(self._call(
                 wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT, poll=True)),
             self.announcement.assembly, self.log) if settings.announcements else None
+        # Requests of functions that interrupt, which ~stop calls.
+        self.stops: List[Tuple[wire.Request, wire.Function]] = []
+        self._stepping = threading.Lock()   # held from the Master's decision to the write
         self._blocked_until = 0.0
         self._waits_since = 0.0     # when a request could be sent last; monotonic
         if settings.environment_period:
@@ -107,6 +116,8 @@ class BusLink(Link):
         if len(request.data) > wire.MAX_LENGTH:
             return Outcome(NOT_SENT, f'data is {len(request.data)} bytes long, may be at most '
                            f'{wire.MAX_LENGTH}; nothing was sent')
+        if self.is_stopped and not function.repeatable:
+            return Outcome(NOT_SENT, f'{STOPPED}; nothing was sent')
         if not self.port.is_open:
             return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
                            f'({self.connection.trouble}); nothing was sent')
@@ -119,6 +130,17 @@ class BusLink(Link):
         self.master.submit(call)
         self.wake()
         return call.wait(longest)
+
+    def stop_motion(self) -> str:
+        """Send all requests that interrupt; without any, a move that is under way goes on."""
+        with self._stepping:        # from now on the link's thread sees `is_stopped`
+            moving = '' if self.stops else self.master.under_way()
+        calls = [self.master.submit(self._call(*stop)) for stop in self.stops]
+        self.wake()
+        deadline = time.monotonic() + _WRITTEN
+        for call in calls:
+            call.written.wait(max(0.0, deadline - time.monotonic()))
+        return '; '.join(filter(None, [moving, *map(_not_written, calls)]))
 
     def _call(self, request: wire.Request, function: wire.Function,
               on_success: Optional[Callable[[Outcome], None]] = None, poll: bool = False) -> Call:
@@ -180,9 +202,10 @@ class BusLink(Link):
         waits_for = self._waits_for()
         if not waits_for:
             self._waits_since = now
-        request, wake_at = self.master.step(now, waits_for, now >= self._blocked_until)
-        if request is not None:
-            self._send_request(request, now)
+        with self._stepping:
+            request, wake_at = self.master.step(now, waits_for, now >= self._blocked_until)
+            if request is not None:
+                self._send_request(request, now)
         if now < self._blocked_until:
             due = min(due, self._blocked_until)
         return due if wake_at is None else min(due, wake_at)
@@ -205,6 +228,7 @@ class BusLink(Link):
             return
         try:
             self.send(frame, request.cmd1, request.cmd2, request.data, request)
+            self.master.sent(request)
         except PortBusy as error:
             self.log.warn('busy', f'{error}; the output that waited is dropped; '
                           'does flow control block the port?')
@@ -230,6 +254,9 @@ class BusLink(Link):
         unknown = self.unknown_bytes.meaning(now) if condition is Condition.NO_SYNC else ''
         return level, unknown or condition.value
 
+    def condition_of_board(self, now: float) -> str:
+        return _WORDS.get(self.master.condition(), 'not_synchronised')
+
     def talks(self, now: float) -> Optional[bool]:
         # None for NO_ECHO: some boards do not know ECHO, and the Master has logged it.
         return {Condition.READY: True, Condition.NO_SYNC: False}.get(self.master.condition())
@@ -249,3 +276,11 @@ class BusLink(Link):
                 ('implausible errors', self.master.data_errors[IMPLAUSIBLE]),
                 ('round trip p50 [ms]', f'{times[len(times) // 2] * 1e3:.2f}' if times else '-'),
                 ('round trip max [ms]', f'{times[-1] * 1e3:.2f}' if times else '-')]
+
+
+def _not_written(call: Call) -> str:
+    """Why a call that interrupts was not sent; '' if it was."""
+    if not call.written.is_set():
+        return f'{call.request} was not written in time'
+    outcome = call.outcome
+    return f'{call.request}: {outcome.message}' if outcome and outcome.status == NOT_SENT else ''

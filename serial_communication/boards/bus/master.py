@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Callable, Deque, Dict, Optional, Tuple
 
 from ...framing.stream import CHECKSUM, Frame
-from ...link.outcome import TIMEOUT, Outcome
+from ...link.outcome import STOPPED, TIMEOUT, Outcome
 from ...link.sparing_log import SparingLog
 from . import wire
 from .call import (NOT_READY_WAIT, UNKNOWN, Call, CallQueue, CallState, outcome_of,
@@ -47,13 +47,15 @@ class Master(Session):
             may still wait on its way; see rule 10.
         begun_anew: called with the time when the board may have begun anew, or be another one.
         still_announces: whether the board has announced the announced functions since then.
+        is_stopped: whether ~stop refuses what is not repeatable.
     """
 
     def __init__(self, reply_timeout: float, motion_timeout: float, log: SparingLog,
                  nonce: Callable[[], bytes] = lambda: os.urandom(4),
                  drop_output: Callable[[float], None] = lambda sent: None,
                  begun_anew: Callable[[float], None] = lambda now: None,
-                 still_announces: Callable[[], bool] = lambda: True) -> None:
+                 still_announces: Callable[[], bool] = lambda: True,
+                 is_stopped: Callable[[], bool] = lambda: False) -> None:
         super().__init__(reply_timeout, log, nonce, begun_anew)
         self.calls = CallQueue(max(motion_timeout, NOT_READY_WAIT))
         self._submitted: Deque[Call] = deque()     # from other threads
@@ -62,6 +64,7 @@ class Master(Session):
         self.round_trips: Deque[float] = deque(maxlen=200)     # s; the latest
         self._drop_output = drop_output
         self._still_announces = still_announces
+        self._is_stopped = is_stopped
         self._closed = 'the port is closed'     # and why, in words
         self._stalled_at = -_NEVER      # when the latest stall had ended
         self._interrupted: Optional[CallExchange] = None    # of a move that a stop has ended
@@ -138,6 +141,12 @@ class Master(Session):
             if not call.function.repeatable:
                 self.calls.abandon(call, STALLED)
 
+    def sent(self, request: wire.Request) -> None:
+        """The request that `step` returned was written."""
+        for call in self.calls:
+            if call.request is request:     # one that interrupts stays in the queue
+                call.written.set()
+
     def not_sent(self, why: str) -> None:
         """The request that `step` returned could not be sent."""
         exchange, self._exchange = self._exchange, NOTHING
@@ -194,6 +203,9 @@ class Master(Session):
                 continue
             if not self._may_have(call):
                 self.calls.abandon(call, _NOT_ANNOUNCED)
+                continue
+            if self._is_stopped() and not call.function.repeatable:
+                self.calls.abandon(call, STOPPED)
                 continue
             is_fenced = self.state is SessionState.FENCED
             if self._needs_fence(call):

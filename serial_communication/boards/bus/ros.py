@@ -152,6 +152,12 @@ def _with_types(function: wire.Function) -> RosFunction:
         found = find_type(f'{key}/srv_type', function.srv_type, 'srv')
         request = RosFields(found._request_class, function.request, f'{key}/request/fields')
         reply = RosFields(found._response_class, function.reply, f'{key}/reply/fields')
+        if function.interrupts:
+            try:
+                _stop_request(RosFunction(function, found, request, reply))
+            except ValueError as error:
+                raise RowError(f'{key}/interrupts', True, 'needs a request that allows 0 in '
+                               f'every field: {error}') from None
         for value in map(function.reply.values.__getitem__, reply.without_nan):
             raise RowError(f'{key}/reply/invalid', value.invalid, f'needs a float field, but '
                            f'{value.name} is none, and a response cannot be left out')
@@ -162,6 +168,12 @@ def _with_types(function: wire.Function) -> RosFunction:
                           f'{key}/constants')
     narrowed = function._replace(reply=reply.narrowed(function.reply))
     return RosFunction(narrowed, found, request, reply)
+
+
+def _stop_request(row: RosFunction) -> wire.Request:
+    """The request with every field 0, which ~stop sends; ValueError if that is out of range."""
+    assert row.request
+    return row.custom.make_request(row.request.read(row.ros_class._request_class()))
 
 
 def _poll(row: RosFunction, link: BusLink, p: Dict[str, Any]) -> Tuple[Poller, ValuePublisher]:
@@ -182,7 +194,12 @@ def _add_announced(row: RosFunction, link: BusLink, p: Dict[str, Any]) -> Callab
     row = row._replace(custom=row.custom._replace(announced=True))
     if row.request:
         service = _advertise(row, link)
-        return lambda: service.shutdown('the board announces it no longer')
+
+        def withdraw() -> None:
+            link.stops = [stop for stop in link.stops if stop[1] is not row.custom]
+            service.shutdown('the board announces it no longer')
+
+        return withdraw
     poller, topic = _poll(row, link, p)
 
     def take_down() -> None:
@@ -195,6 +212,8 @@ def _add_announced(row: RosFunction, link: BusLink, p: Dict[str, Any]) -> Callab
 def _advertise(row: RosFunction, link: BusLink) -> rospy.Service:
     """Offer a function whose values have the names of its service's fields."""
     function, request_fields = row.custom, row.request
+    if function.interrupts:
+        link.stops.append((_stop_request(row), function))
 
     def handle(ros_request: Any) -> Any:
         try:
