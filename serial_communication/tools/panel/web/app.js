@@ -7,7 +7,7 @@ import {Links, worst} from './cards/links.js';
 import {Log} from './cards/log.js';
 import {TopicCards} from './cards/topics.js';
 import {Wire} from './cards/wire.js';
-import {appear, hasJustAppeared} from './appeared.js';
+import {appear} from './appeared.js';
 import {Connection} from './connection.js';
 import {formatAge, h, updateAttribute, updateText, withoutAges} from './dom.js';
 import {flow} from './flow.js';
@@ -72,7 +72,6 @@ place('stop').addEventListener('pointerdown', ({button}) => {
 place('stop').addEventListener('click', () => {
   if (performance.now() - stoppedAt > CLICK_OF_PRESS) commands.stop();
 });
-place('release').addEventListener('click', (event) => commands.release(event));
 
 function watch() {
   connection.watch(new Set(cards.flatMap((each) => each.topics)));
@@ -96,8 +95,6 @@ function drawHead(now) {
   updateText(place('alarm'), place('trouble').hidden ? '' : withoutAges(words));
   place('stop').hidden = model.controls === null;
   updateAttribute(place('stop'), 'aria-pressed', String(stopped));
-  place('release').hidden = model.controls === null || !stopped;
-  place('release').disabled = !alive || hasJustAppeared();
   updateAttribute(document.body, 'data-control', model.controls !== null);
   updateText(place('node'), model.node.replace(/^\//, '') || 'serial_communication');
   const sign = !alive ? '✕ no connection' : words ? `${words === STOPPED ? '■' : '✕'} ${words}` : state.words ? `${state.sign} ${state.words}` : '✓';

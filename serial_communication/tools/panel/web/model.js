@@ -3,6 +3,7 @@ const KEPT = 600;          // s of samples and errors
 const MAX_SAMPLES = 4000;  // of one topic: 40 s at 100 Hz
 const MAX_CALLS = 30;      // whose answers are kept
 const ERRORS_SHOWN = 10;   // s for which an error marks its link
+const STATUS_PERIOD = 1;   // s between two statuses of a link
 
 /** One topic: its fields, and samples of [time, value …]. */
 class TopicData {
@@ -126,13 +127,14 @@ export class Model {
     return this.topics.get(name);
   }
 
-  /** Whether STOP holds: by /diagnostics, or by a later answer to ~stop. */
+  /** Whether STOP holds: by /diagnostics, unless ~stop was answered less than a status before. */
   stopped(now) {
     const links = [...this.links.values()].filter((link) => !link.stale(now));
     let at = Math.max(...links.map((link) => link.at));
     let held = links.some((link) => link.values.condition === 'stopped');
     for (const {name, outcome, began, took, arguments: {data}} of this.calls.values()) {
-      if (name === '~stop' && outcome === 'done' && began + took > at) [at, held] = [began + took, data];
+      const until = began + took + STATUS_PERIOD;
+      if (name === '~stop' && outcome === 'done' && until > at) [at, held] = [until, data];
     }
     return links.length > 0 && held;
   }

@@ -16,9 +16,10 @@ export function whyNot(model, connection, now, link, moves = false) {
   if (!status) return `the ${link} link is off`;
   if (status.at === null) return model.trouble || `no status of the ${link} link yet`;
   if (status.stale(now)) return `the bridge has been silent for ${formatAge(now - status.at)}`;
-  if (status.summary.startsWith('closed')) return `the ${link} link is closed`;
-  if (status.summary.startsWith('lent to')) return `the ${link} link is ${status.summary}`;
-  if (status.summary.startsWith('calibrating')) return 'the IMU is being calibrated';
+  const {condition} = status.values;
+  if (condition === 'closed') return `the ${link} link is closed`;
+  if (condition === 'lent') return `the ${link} link is ${status.summary}`;
+  if (condition === 'calibrating') return 'the IMU is being calibrated';
   return moves && model.stopped(now) ? STOPPED : '';
 }
 

@@ -29,7 +29,10 @@ export class Commands {
     this._connection = connection;
     this._announce = announce;
     this._pending = new Map();      // key -> {name, words, at} of what was requested and not answered
-    this._groups = new Map();       // name of a service or topic -> its buttons
+    this._release = document.getElementById('release');
+    this._release.addEventListener('click', (event) => this._request(event, '~stop',
+      {call: {name: '~stop', arguments: {data: false}}}, 'release STOP'));
+    this._groups = new Map([['~stop', [this._release]]]);   // name of a service or topic -> its buttons
     this._reasons = [];             // [{name, link, isCall, place}]: where the reasons are shown
     this._forms = new Map();        // key -> {shape, element}
     // [setting, link, place, inputs]: where the board's value is shown, and begins to be entered
@@ -46,6 +49,9 @@ export class Commands {
 
   draw(model, now) {
     this.element.hidden = !model.node;
+    this._release.hidden = !model.controls || !model.stopped(now);
+    this._release.disabled = !this._connection.alive || hasJustAppeared()
+      || this._release.disabledUntil > performance.now();
     const shape = JSON.stringify(model.controls);
     if (shape !== this._shape) {
       this._shape = shape;
@@ -92,9 +98,6 @@ export class Commands {
     this._stop = {at: this._connection.now(), key: this._send('~stop', {stop: {}}, 'STOP')};
   }
 
-  /** Release STOP. */
-  release(event) { this._request(event, '~stop', {call: {name: '~stop', arguments: {data: false}}}, 'release STOP'); }
-
   /** Why the latest STOP of this page may not hold; '' if it is confirmed or long ago. */
   stopTrouble(model, now) {
     const age = now - this._stop.at;
@@ -134,7 +137,7 @@ export class Commands {
       this._addAnswer(words, 'refused', `nothing was sent: ${APPEARED}; press again`);
       return;
     }
-    for (const button of this._groups.get(name) ?? []) {
+    for (const button of this._groups.get(name)) {
       button.disabledUntil = performance.now() + LEAST_DISABLED;
       updateAttribute(button, 'disabled', true);
     }
@@ -157,9 +160,7 @@ export class Commands {
   // -- building ------------------------------------------------------------------------------
 
   _explainReadOnly() {
-    this._forms.clear();
-    this._groups.clear();
-    this._reasons = [];
+    for (const [key, {element}] of this._forms) this._remove(key, element);
     this._body.replaceChildren(...READ_ONLY.map((words) => h('p', {class: 'words'}, words)));
   }
 
