@@ -5,8 +5,6 @@ elsewhere; its name is the package's import name. A board is imported only when 
 the simulators need no ROS.
 """
 import importlib
-import traceback
-from types import ModuleType
 from typing import Iterable, List, Tuple
 
 from .description import Description, named_twice
@@ -15,7 +13,7 @@ BOARDS: Tuple[str, ...] = ('bus', 'arduino', 'mcu')
 
 
 class BoardError(ImportError):
-    """A board cannot be imported, or its module describes no board; the text is one line."""
+    """There is no such board; the text is one line."""
 
 
 def description(name: str) -> Description:
@@ -25,9 +23,18 @@ def description(name: str) -> Description:
         name: one of `BOARDS`, or the import name of a package with a board.
 
     Raises:
-        BoardError: the module cannot be imported, or has no `DESCRIPTION`.
+        BoardError: there is no such module, or it has no `DESCRIPTION`.
+        Exception: whatever importing it raises.
     """
-    found = getattr(load(f'{__name__}.{name}' if name in BOARDS else name), 'DESCRIPTION', None)
+    module = f'{__name__}.{name}' if name in BOARDS else name
+    if not module.strip('.') or module[0] == '.':
+        raise BoardError(f'{name!r} is not the name of a board or a Python package')
+    try:
+        found = getattr(importlib.import_module(module), 'DESCRIPTION', None)
+    except ModuleNotFoundError as error:
+        if not f'{module}.'.startswith(f'{error.name}.'):
+            raise
+        raise BoardError(f'there is no board and no Python package {name!r}') from None
     if not isinstance(found, Description):
         raise BoardError(f'the module {name!r} has no DESCRIPTION of a board')
     return found
@@ -37,7 +44,7 @@ def descriptions(packages: Iterable[str] = ()) -> List[Description]:
     """The boards of this package, in order, and those of other packages.
 
     Raises:
-        BoardError: one cannot be imported, or two of this package have a topic or a service of the
+        BoardError: one cannot be found, or two of this package have a topic or a service of the
             same name.
     """
     found = [description(name) for name in BOARDS]
@@ -54,24 +61,3 @@ def find(name: str, packages: Iterable[str] = ()) -> Description:
         if board.name == name:
             return board
     return description(name)
-
-
-def load(name: str) -> ModuleType:
-    """Import a module; BoardError if there is none, or importing it raised anything."""
-    try:
-        return importlib.import_module(name)
-    except BaseException as error:  # pylint: disable=broad-except
-        raise BoardError(f'importing {name!r} failed: {reason(error)}') from None
-
-
-def reason(error: BaseException) -> str:
-    """The text of a caught exception and the place that raised it, below the caller's own stack
-    frame; in one line."""
-    what = ' '.join(traceback.format_exception_only(type(error), error)[-1].split())
-    what = what if len(what) <= 200 else what[:199] + '…'
-    places = [(frame.filename, frame.lineno)
-              for frame in traceback.extract_tb(error.__traceback__)[1:]
-              if frame.filename[:1] != '<' and frame.filename != importlib.__file__]
-    if isinstance(error, SyntaxError):
-        places.append((error.filename or '?', error.lineno or 0))
-    return f'{what} ({places[-1][0]}, line {places[-1][1]})' if places else what

@@ -286,8 +286,8 @@ class Row:
         limited = [value for value in values
                    if value.name not in ('', BOARD_TIME) and value.kind != 'text']
         for key in ('minimum', 'maximum'):
-            fits = [value.range[0] <= getattr(value, key) <= value.range[1]
-                    or abs(getattr(value, key)) == inf for value in limited]
+            fits = [any(value.range[0] <= made <= value.range[1] or abs(made) == inf
+                        for made in value.made_of(getattr(value, key))) for value in limited]
             if limited and self.given.get(key) is not None and not self._enough(key, fits):
                 low, high = limited[fits.index(False)].range
                 raise self._error(key, f'may be from {low:.10g} to {high:.10g}, which is what its '

@@ -7,6 +7,7 @@ custom messages.
 import re
 import struct
 from collections import namedtuple
+from contextlib import suppress
 from math import inf, isfinite
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
@@ -21,6 +22,8 @@ _RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'd': (-inf, inf), 's': (-inf, 
 for _code, _bits in zip('bhilq', (8, 16, 32, 32, 64)):
     _RANGES[_code] = -2 ** (_bits - 1), 2 ** (_bits - 1) - 1
     _RANGES[_code.upper()] = 0, 2 ** _bits - 1
+
+_NEAR = 0.01        # raw steps; a whole raw number that is nearer to a limit stands for it
 
 BOARD_TIME = '@time'          # the name of the value that is the board's time: see `Frame.ticks`
 
@@ -75,6 +78,23 @@ class Value(NamedTuple):
         low, high = sorted(raw * self.scale + self.offset for raw in _RANGES[self.code])
         return low, high
 
+    @property
+    def limits(self) -> Tuple[float, float]:
+        """The least and the greatest value that is plausible: `minimum` and `maximum`, or what a
+        float32, or the scale, makes of them."""
+        return min(self.made_of(self.minimum)), max(self.made_of(self.maximum))
+
+    def made_of(self, limit: float) -> List[float]:
+        """A limit, and what a float32, and the raw number that stands for it, make of it."""
+        made = [limit]
+        is_float = self.code in FRACTIONS
+        with suppress(OverflowError):      # also if the limit is infinite
+            raw = (limit - self.offset) / self.scale
+            nearest = _rounded(self.code, raw) if is_float else round(raw)
+            made += [value for value in (_rounded('f', limit), nearest * self.scale + self.offset)
+                     if is_float or abs(value - limit) < _NEAR * abs(self.scale)]
+        return made
+
     def holds(self, raw: float) -> bool:
         """Whether its place can hold exactly this raw number."""
         try:
@@ -127,8 +147,9 @@ class Value(NamedTuple):
         if not self.is_limited:
             return ''
         unit = f' {self.unit}'.rstrip()
+        low, high = self.limits
         for number in given if isinstance(given, tuple) else (given,):
-            if number is not NO_VALUE and not self.minimum <= number <= self.maximum:
+            if number is not NO_VALUE and not low <= number <= high:
                 why = f'{self.name} is {number:.6g}, '
                 if self.maximum == inf:
                     return f'{why}below the minimum of {self.minimum:g}{unit}'
@@ -166,7 +187,7 @@ class Layout:
         self._step = struct.calcsize(layout[0] + rest) if rest else 0
         self._scaled = [(index, value) for index, value in enumerate(self.values)
                         if value.is_scaled or value.invalid is not None]
-        self._limited = [(index, value.minimum, value.maximum)
+        self._limited = [(index, *value.limits)
                          for index, value in enumerate(self.values) if value.is_limited]
         # Called for every packet, so it is struct's own function where that is enough.
         is_simple = all(value.kind == 'number' for value in self.values)
@@ -339,6 +360,12 @@ def brief(given: Any, most: int) -> str:
     except ValueError:      # Python prints no integer of over 4300 digits
         words = f'{type(given).__name__} with too many digits'
     return words if len(words) <= most else words[:most - 1] + '…'
+
+
+def _rounded(code: str, number: float) -> float:
+    """A number as struct's code holds it; OverflowError if it is too great."""
+    rounded: float = struct.unpack('<' + code, struct.pack('<' + code, number))[0]
+    return rounded
 
 
 class LayoutMessage(tuple):

@@ -9,6 +9,7 @@ Little-endian. Each link with settings has one type for them, `TYPE`.
 import re
 import struct
 from collections import namedtuple
+from contextlib import suppress
 from typing import Any, Dict, Iterable, List, NamedTuple, Tuple, Type
 
 from .custom_messages import Row, RowError, rows
@@ -83,8 +84,10 @@ class Setting(NamedTuple):
         Raises:
             ValueError: it is not allowed; the text says what is.
         """
-        if type(value) in (bool, int, float) and self.minimum <= value <= self.maximum:
-            return SettingMessage.read(self.layout, self.layout.pack((self.setting, value)))[1]
+        with suppress(struct.error, OverflowError):     # its place cannot hold it
+            if type(value) in (bool, int, float) and self.minimum <= (
+                    _shortest(value) if self.code in FRACTIONS else value) <= self.maximum:
+                return SettingMessage.read(self.layout, self.layout.pack((self.setting, value)))[1]
         raise ValueError(self.allowed())
 
 
@@ -130,9 +133,7 @@ def _limits(row: Row, code: str, low: float, high: float) -> List[float]:
     if minimum > maximum:
         raise RowError(row.name('minimum'), minimum, f'may be at most the maximum, {maximum:g}')
     if is_float:     # `checked` rounds to a float32: also what it makes of a limit is allowed
-        nearest = [_shortest(*struct.unpack('<f', struct.pack('<f', limit)))
-                   for limit in (minimum, maximum)]
-        minimum, maximum = min(minimum, nearest[0]), max(maximum, nearest[1])
+        minimum, maximum = min(minimum, _shortest(minimum)), max(maximum, _shortest(maximum))
     return [minimum, maximum]
 
 
@@ -188,7 +189,8 @@ def message_of(settings: Iterable[Setting]) -> Type[SettingMessage]:
 
 
 def _shortest(number: float) -> float:
-    """The decimal number with the fewest digits that is this float32."""
+    """The decimal number with the fewest digits that is the same float32 as this number."""
     wanted = struct.pack('<f', number)
+    number, = struct.unpack('<f', wanted)
     return next((short for short in (float(f'{number:.{digits}g}') for digits in (6, 7, 8))
                  if abs(short) < 3.4e38 and struct.pack('<f', short) == wanted), number)

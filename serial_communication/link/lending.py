@@ -32,8 +32,10 @@ class Lending:
         self.line = ''                # `dtr` or `rts`, which resets the board; '': none does
         # Set by boards, called in the link's thread: what must not be interrupted now, '': nothing.
         self.under_way: Callable[[], str] = lambda: ''
-        # Likewise: make the board safe, then `Port.give_up` with this reason.
-        self.let_go: Callable[[str], None] = port.give_up
+        # Likewise: make the board safe, then `Port.give_up` with this reason; whether to reset it.
+        self.let_go: Callable[[str, bool], None] = lambda why, resets: port.give_up(why)
+        # Likewise: the board was reset.
+        self.was_reset: Callable[[], None] = lambda: None
         self._port = port
         self._wake = wake
         self._may_be_old = may_be_old
@@ -112,10 +114,11 @@ class Lending:
         under_way = self.under_way()
         if under_way:
             return f'not now: {under_way}'
-        self.let_go(task.why)
+        self.let_go(task.why, bool(task.line))
         port.loan = task.loan       # this thread, which runs this, closes the port later
         if task.line:
             port.pulse(task.line)
+            self.was_reset()
         return ''
 
 

@@ -4,7 +4,6 @@ A link passes on each new text of its board. Everything else happens in the thre
 LatestWorker for all links, since rospy and the master may take any time.
 """
 import time
-from contextlib import suppress
 from typing import Any, Callable, Dict, Iterable, NamedTuple
 
 import rospy
@@ -17,7 +16,6 @@ from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..transport.pace import Allowance
 from .latest_worker import LatestWorker
-from .rospy_mends.own_names import explained
 
 _LINES = 60, 2.0            # log lines: at most in a burst, and then per second
 _XML_RPC = 2 ** 31          # the parameter server takes no greater integer
@@ -60,21 +58,20 @@ class AnnouncedRows:
         self._use_latest: Callable[[], None] = lambda: None
         self._allowance = Allowance(*_LINES)
 
-    def serve(self, worker: LatestWorker, names: Dict[str, str], parameters: Dict[str, Any],
-              log: SparingLog, boards: Iterable['AnnouncedRows']) -> None:
+    def serve(self, worker: LatestWorker, names: Dict[str, str], log: SparingLog,
+              boards: Iterable['AnnouncedRows']) -> None:
         """Use each new announcement of the link, in the worker's thread.
 
         Args:
             names: see `update`.
-            parameters: the node's private parameters, which are set at a new master: the announced
-                rows are kept there, too.
             log: for what does not concern the link.
             boards: all of them. One whose row was left out gets it as soon as the name is free.
         """
+        rows: Dict[str, Any] = {}       # that are in use
+
         def set_parameter() -> None:
             try:
-                rospy.set_param(f'~{self.link.name}/{ANNOUNCED}',
-                                parameters[self.link.name][ANNOUNCED])
+                rospy.set_param(f'~{self.link.name}/{ANNOUNCED}', rows)
             except Exception as error:  # pylint: disable=broad-except
                 # rospy passes on what its master, or another server at its address, answers.
                 if not rospy.is_shutdown():
@@ -83,9 +80,9 @@ class AnnouncedRows:
                     worker.submit(set_parameter)
 
         def use_latest() -> None:
+            nonlocal rows
             before = set(names)
             rows = for_xml_rpc(self.update(self.link.announcement.assembly.text or b'', names))
-            parameters[self.link.name] = {**parameters.get(self.link.name, {}), ANNOUNCED: rows}
             set_parameter()
             if before - set(names):
                 for board in boards:
@@ -100,7 +97,7 @@ class AnnouncedRows:
 
         Args:
             text: the board's announcement.
-            names: of topics and services of custom rows, with their parameters; for all links.
+            names: the resolved names of topics and services, and who has each; for all links.
         """
         announcement = read_announcement(text)
         self._lacks_name = False
@@ -163,7 +160,7 @@ class AnnouncedRows:
             self._made[custom.name] = _Made(custom, given, self._add(row))
             names[self._name(custom)] = custom.key
         except Exception as error:  # pylint: disable=broad-except
-            self._warn(f'the announced row {custom.name} is left out: {explained(error)}')
+            self._warn(f'the announced row {custom.name} is left out: {error}')
 
     def _take_down(self, name: str, names: Dict[str, str]) -> None:
         del names[self._name(self._made[name].custom)]
@@ -173,9 +170,10 @@ class AnnouncedRows:
             self._warn(f'{name} is announced no longer, but cannot be taken down: {error}')
 
     def _name(self, custom: Any) -> str:
-        """Return the name of a row's topic, service or parameter."""
+        """Return the resolved name of a row's topic, service or parameter."""
         is_setting = isinstance(custom, Setting)
-        return (self._settings_prefix if is_setting else self._custom.prefix) + custom.name
+        return rospy.resolve_name((self._settings_prefix if is_setting else self._custom.prefix)
+                                  + custom.name)
 
     def _warn(self, text: str) -> None:
         if self._allowance.take(time.monotonic()) and not rospy.is_shutdown():
@@ -199,5 +197,4 @@ def forget_announced(given: Dict[str, Any], boards: Iterable[str]) -> None:
     """
     for board in boards:
         if given.get(board, {}).pop(ANNOUNCED, None) is not None:
-            with suppress(KeyError):    # deleted by a call whose answer was lost
-                rospy.delete_param(f'~{board}/{ANNOUNCED}')
+            rospy.delete_param(f'~{board}/{ANNOUNCED}')

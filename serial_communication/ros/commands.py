@@ -12,9 +12,36 @@ import rospy
 
 from ..link.link import Refused
 from ..link.sparing_log import SparingLog
-from .rospy_mends.connections import NewestConnections, header_of
 
 _MOST_PUBLISHERS = 1000     # names to remember; each call of rostopic has a new one
+
+
+def header_of(message: Any) -> Dict[str, str]:
+    """Return the header of the connection on which a message came: one object for each."""
+    return getattr(message, '_connection_header', {})
+
+
+class NewestConnections:
+    """Finds the messages of connections whose publisher has made a newer one."""
+
+    def __init__(self, subscriber: rospy.Subscriber) -> None:
+        self._subscriber = subscriber
+        self._replaced: Dict[int, Any] = {}     # headers of those that have newer ones, by their id
+
+    def is_replaced(self, header: Dict[str, str]) -> bool:
+        """Return whether the publisher has made a newer connection, even if that has closed."""
+        try:
+            # rospy keeps them in the order in which it made them. One without a header is not
+            # ready.
+            alive = [each.header for each in self._subscriber.impl.connections if each.header]
+        except AttributeError:      # another rospy
+            return False
+        sender = header.get('callerid', '')
+        older = [each for each in alive if each.get('callerid', '') == sender][:-1]
+        ids = {id(each) for each in alive}
+        self._replaced = {id(each): each for each in (*self._replaced.values(), *older)
+                          if id(each) in ids}
+        return id(header) in self._replaced or id(header) not in ids
 
 
 class CommandTopic:

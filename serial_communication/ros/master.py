@@ -1,51 +1,68 @@
-"""Questions to the ROS master before this process registers: is it running, is a name in use."""
+"""Questions to the ROS master and to nodes, in limited time: before this process is a node, and by
+a node that watches for a new master."""
+import os
 import sys
 import threading
 import time
 import xmlrpc.client
-from typing import Any, Callable, List, Optional
+from contextlib import suppress
+from typing import Any, Callable, Mapping, Optional
 
 import rosgraph
+import rospy
 
 _ASK_EVERY = 0.1                           # s
 _FIRST_REPORT, _REPORT_EVERY = 1.0, 10.0   # s of waiting
-_PATIENCE = 1.0                            # s for a node's answer, by default
+_PATIENCE = 1.0                            # s for an answer, by default
+_WATCH_EVERY = 3.0                         # s
 
 
-def wait_for_master(stopping: threading.Event, say: Callable[[str], None] = lambda _text: None,
-                    patience: Optional[float] = None) -> bool:
-    """Wait for a ROS master.
+class _Transport(xmlrpc.client.Transport):
+    """HTTP whose answers take a limited time."""
+
+    def __init__(self, patience: float) -> None:
+        super().__init__()
+        self._patience = patience
+
+    def make_connection(self, host: Any) -> Any:
+        connection = super().make_connection(host)
+        connection.timeout = self._patience
+        return connection
+
+
+def _ask(uri: str, question: str, *arguments: str, patience: float = _PATIENCE) -> Any:
+    """Return the answer of a master or a node; None for a failure. OSError, …: no answer."""
+    server = xmlrpc.client.ServerProxy(uri, _Transport(patience))
+    code, _text, value = getattr(server, question)(rospy.get_name(), *arguments)
+    return value if code == 1 else None
+
+
+def wait_for_master(stopping: Optional[threading.Event] = None,
+                    say: Callable[[str], None] = lambda _text: None,
+                    patience: float = float('inf')) -> bool:
+    """Wait for a ROS master; return whether one answers.
 
     Args:
         stopping: ends the waiting when set.
         say: called with a line of text after 1 s, then every 10 s.
-        patience: s to wait at most; None: no limit.
-
-    Returns:
-        Whether a master answers; False if the waiting ended first.
+        patience: s to wait at most.
     """
-    found = threading.Event()
-    ended = threading.Event()
-
-    def ask() -> None:      # in a thread, since an unreachable host may take minutes to fail
-        while not ended.is_set():
-            if rosgraph.is_master_online():
-                found.set()
-                return
-            ended.wait(_ASK_EVERY)
-
-    threading.Thread(target=ask, name='waiting for a master', daemon=True).start()
-    began = now = time.monotonic()
+    stopping = stopping or threading.Event()
+    uri = rosgraph.get_master_uri()
+    began = time.monotonic()
     due = began + _FIRST_REPORT
-    while not found.wait(_ASK_EVERY) and not stopping.is_set() \
-            and (patience is None or now < began + patience):
-        now = time.monotonic()
-        if now >= due:
-            say(f'waiting for the ROS master at {rosgraph.get_master_uri()}; '
-                'start one with roscore, or set ROS_MASTER_URI')
-            due = now + _REPORT_EVERY
-    ended.set()
-    return found.is_set() and not stopping.is_set()
+    while not stopping.is_set() and time.monotonic() < began + patience:
+        try:
+            _ask(uri, 'getPid')
+            return True
+        except Exception:  # pylint: disable=broad-except
+            pass    # a master that is starting or ending, or another server, may answer anything
+        if time.monotonic() >= due:
+            say(f'waiting for the ROS master at {uri}; start one with roscore, or set '
+                'ROS_MASTER_URI')
+            due = time.monotonic() + _REPORT_EVERY
+        stopping.wait(_ASK_EVERY)
+    return False
 
 
 def full_name(default: str) -> str:
@@ -64,29 +81,67 @@ def running_node(name: str, patience: float = _PATIENCE) -> str:
 
     A killed or suspended node does not count, nor does another process at a dead node's address.
     """
-    found: List[str] = []
-    asking = threading.Thread(target=_ask, args=(name, found), name='is the name taken',
-                              daemon=True)
-    asking.start()          # an unreachable host may take minutes to fail
-    asking.join(patience)
-    return found[0] if found else ''
-
-
-def _ask(name: str, found: List[str]) -> None:
     try:
-        uri = rosgraph.Master(name).lookupNode(name)
-        with xmlrpc.client.ServerProxy(uri) as node:
-            if _is_running(node, name):
-                found.append(uri)
+        uri = _ask(rosgraph.get_master_uri(), 'lookupNode', name, patience=patience)
+        return uri if uri and _ask(uri, 'getName', patience=patience) == name else ''
     except Exception:  # pylint: disable=broad-except
-        pass    # no such node; or a process that is ending, or is not a node, may answer anything
+        return ''   # a process that is ending, or is not a node, may answer anything
 
 
-def _is_running(node: Any, name: str) -> bool:
-    """Return whether the process at a node's address is a node, and has not another name."""
-    if node.getPid(name)[0] != 1:
-        return False
+class MasterWatch:
+    """Asks the master every 3 s whether it is a new one, in a thread that nothing waits for.
+
+    A new roscore knows neither the nodes that are running nor their parameters, and rospy does not
+    notice. A master that is only gone changes nothing.
+
+    Create it before rospy.init_node: a master that is replaced while the node starts is a new one,
+    too.
+    """
+
+    def __init__(self) -> None:
+        self._uri = rosgraph.get_master_uri()
+        self._pid = None
+        with suppress(Exception):
+            self._pid = self._question('getPid')
+
+    def start(self, on_new: Callable[[], None]) -> None:
+        """Call `on_new` in the thread, once: the master does not know this node."""
+        threading.Thread(target=self._run, args=(on_new,), name='master watch',
+                         daemon=True).start()
+
+    def _run(self, on_new: Callable[[], None]) -> None:
+        while True:
+            try:
+                node = self._question('lookupNode', rospy.get_name())
+                # A topic that was made since may be registered at the new master.
+                is_new = not node or self._question('getPid') != self._pid
+            except Exception:  # pylint: disable=broad-except
+                pass    # it is gone, or another server answers there
+            else:
+                if rospy.core.is_shutdown_requested():
+                    return
+                if node and node != rospy.get_node_uri():
+                    rospy.signal_shutdown(f'another node is named {rospy.get_name()}')
+                    return
+                if is_new:
+                    rospy.logwarn('%s is a new ROS master: this node starts again there', self._uri)
+                    on_new()
+                    return
+            time.sleep(_WATCH_EVERY)
+
+    def _question(self, question: str, *arguments: str) -> Any:
+        return _ask(self._uri, question, *arguments)
+
+
+def restart(environment: Mapping[str, str]) -> None:
+    """Start this program again in this process, with these variables besides its environment.
+
+    It does not return. Nothing is restarted once the node's shutdown has begun.
+    """
+    if rospy.core.is_shutdown_requested():
+        return
     try:
-        return node.getName(name)[2] == name
-    except xmlrpc.client.Fault:
-        return True     # only rospy's nodes report their name
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **environment})
+    except OSError as error:
+        print(f'cannot start again: {error}', file=sys.stderr)
+        os._exit(1)

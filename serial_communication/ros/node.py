@@ -1,41 +1,38 @@
 """The node: checks the parameters, connects the links with ROS, and stops them in order."""
 import gc
+import json
 import logging
 import os
 import signal
 import sys
 import time
-from contextlib import contextmanager
 from functools import partial
-from typing import Any, Iterator, List, Type
+from typing import Any, Dict, List
 
 import rospy
 from std_srvs.srv import Trigger, TriggerResponse
 
 from serial_communication.srv import Release, ReleaseResponse
 
-from ..boards import BOARDS, description, reason
-from ..framing.layout import readable
+from ..boards import BOARDS, description
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from ..link.unknown_bytes import OtherBoard
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
-from . import parameters, starting
+from . import direct, logs, parameters, starting
 from .announced import forget_announced
 from .diagnostics import Diagnostics, log_fault
 from .geometry import publish_mounts
-from .interface import Interface, LinkOptions
-from .last_resort import LastResort
+from .interface import LinkOptions
 from .latest_worker import LatestWorker
-from .master import full_name, started_by_roslaunch
+from .master import (MasterWatch, full_name, restart, running_node, started_by_roslaunch,
+                     wait_for_master)
 from .parameter import ParameterError
-from .rospy_mends import (background_logging, direct, handshake, log_file, master_calls, own_names,
-                          shortage)
-from .rospy_mends.master_watch import MasterWatch, merged
-from .rospy_mends.shutdown import is_shutdown_requested
+from .settings import PARAMETER as SETTINGS
 from .settings import PAUSE as SETTINGS_PAUSE
 from .settings import serve as serve_settings
+from .settings import wanted_values
 from .stop import Stop
 from .traffic import Traffic
 
@@ -43,8 +40,12 @@ _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartb
 _NAME = 'serial_communication'    # the default
 _PRIORITY = 1               # real-time priority of all threads, if the system allows it
 _SHUTDOWN = 1.0             # s for all links to end
+_ANSWERED = 0.1             # s for the answers of calls that have ended to leave
 _ANNOUNCEMENT_PAUSE = 1.0   # s: a board may change its announcement all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
+_AGAIN = 10.0               # s before it ends, since roslaunch starts it again at once
+_PARAMETERS = 'SERIAL_COMMUNICATION_PARAMETERS'   # environment of a restart: the parameters, JSON
+_STOPPED = 'SERIAL_COMMUNICATION_STOPPED'      # likewise: not empty while ~stop holds
 _LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
 
 
@@ -53,95 +54,77 @@ def main() -> None:
     prepare_output()
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
-    background_logging.install()
-    master_calls.limit_time()
-    if full_name(_NAME) != f'/{_NAME}':     # one of several robots: its lines have its name
+    name = full_name(_NAME)
+    if name != f'/{_NAME}':     # one of several robots: its lines have its name
         os.environ.setdefault('ROSCONSOLE_FORMAT', '[${severity}] [${time}] ${node}: ${message}')
-    start = starting.Start(_NAME)
-    last_resort = LastResort(_LAST_RESORT, start.force_exit)
+    for number in signal.SIGINT, signal.SIGTERM:    # until rospy has handlers
+        signal.signal(number, signal.default_int_handler)
+    end_later = starting.last_resort(_LAST_RESORT)
+    rospy.on_shutdown(partial(end_later, 0))    # even if an import or the master hangs
     status = 1
     try:
-        status = _run(start, last_resort)
+        status = _run(name)
+    except KeyboardInterrupt:
+        status = 0
     finally:
-        if status:      # rospy's own shutdown begins it with 0
-            last_resort.begin(status)
-        written = background_logging.finish()
-        start.restart_if_displaced()
-        if not written:
+        end_later(status)
+        if not logs.finish():
             os._exit(status)
-    last_resort.begin(status)
     sys.exit(status)
 
 
-def _run(start: starting.Start, last_resort: LastResort) -> int:
-    status = start.wait_until_allowed()
-    if status is not None:
-        return status
-    log = SparingLog('ROS', _LOGGER)
-    handshake.install(log)
-    shortage.install(log)
-    master_calls.install(starting.say, log.always_warn)
-    watch = MasterWatch(full_name(_NAME), _LOGGER)
-    if start.stopping.is_set():
-        return 0
-    mistake = _mistake_of_command_line()
-    if mistake:
-        start.registered()
-        starting.say(mistake)
-        if started_by_roslaunch():      # which would start it again, with the same mistake
-            start.stopping.wait()
-        return 1
-    # From now on a signal ends the process, even if the import of a board or the master hangs
-    # before there is a bridge to stop.
-    rospy.on_shutdown(last_resort.begin)
+def _run(name: str) -> int:
+    wait_for_master(say=starting.say)
+    address = running_node(name)
+    if address:
+        starting.say(f'{name} is already running ({address}); end that node first (rosnode kill '
+                     f'{name}), or give this one another name (name:=NAME for the launch file, '
+                     '__name:=NAME for the node)')
+        if started_by_roslaunch():
+            time.sleep(_AGAIN)
+        return starting.NAME_TAKEN
+    watch = MasterWatch()
     try:
-        log_file.init_node(_NAME)
-    except (rospy.ROSInitException, rospy.ROSInterruptException) as error:
-        if is_shutdown_requested():
-            return 0
-        rospy.logfatal(error)
-        return 1
-    finally:
-        start.registered()
-    direct.install(_LOGGER.warning)
-    own_names.install(_LOGGER.warning)
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
-        signal.signal(signal.SIGHUP, lambda *_: _hang_up(start))
-    bridge = None
-    try:
-        given = _given()
-        values, warnings = parameters.check(given, rospy.get_name())
-        forget_announced(given, [board.NAME for board in parameters.announcing(values['boards'])])
-        for warning in warnings:
-            rospy.logwarn(warning)
-        bridge = Bridge(values, given)
-        rospy.on_shutdown(bridge.stop)
-        if not is_shutdown_requested():      # otherwise nothing may call `stop` later
-            # A full garbage collection looks at all that is imported. It takes 24 ms, or more on a
-            # slow computer, and holds Python's lock meanwhile, so no heartbeat is sent.
-            gc.freeze()
-            bridge.start()
-            watch.start(given)
-    except rospy.ROSInterruptException:
+        parameters.check_command_line(sys.argv, name)
+        rospy.init_node(_NAME)
+        logs.queue_lines()
+        if not direct.install():
+            rospy.logwarn('this rospy sends messages differently from the versions that were '
+                          'looked at: each subscriber has a thread, which costs processor time')
+        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
+            signal.signal(signal.SIGHUP, lambda *_: rospy.signal_shutdown('the terminal is gone'))
+        _start(watch)
+    except (rospy.ROSInitException, rospy.ROSInterruptException):
+        if not rospy.core.is_shutdown_requested():
+            raise
         return 0
-    except (ParameterError, *own_names.NAME_ERRORS) as error:
-        if bridge:
-            bridge.stop()
-        rospy.logfatal(own_names.explained(error))
-        starting.wait_under_roslaunch()
+    except ParameterError as error:
+        if rospy.core.is_initialized():
+            rospy.logfatal(error)
+        else:
+            starting.say(str(error))
+        while started_by_roslaunch() and not rospy.is_shutdown():
+            time.sleep(0.1)     # roslaunch would start it again, with the same mistake
         return 1
     rospy.spin()
     return 0
 
 
-def _mistake_of_command_line() -> str:
-    """Return what is wrong with a parameter of the command line that no master would take."""
-    try:
-        given = master_calls.parameters_of(sys.argv, _LOGGER.warning)
-        parameters.check_command_line(given, full_name(_NAME))
-    except (ParameterError, rospy.ROSInitException) as error:
-        return readable(' '.join(str(error).split()))
-    return ''
+def _start(watch: MasterWatch) -> None:
+    given = _given()
+    values, warnings = parameters.check(given, rospy.get_name())
+    forget_announced(given, [board.NAME for board in parameters.announcing(values['boards'])])
+    for warning in warnings:
+        rospy.logwarn(warning)
+    bridge = Bridge(values, given, parameters.resolved_names(values, given))
+    rospy.on_shutdown(bridge.stop)
+    if rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
+        return
+    # A full garbage collection looks at all that is imported. It takes 24 ms, or more on a
+    # slow computer, and holds Python's lock meanwhile, so no heartbeat is sent.
+    gc.freeze()
+    bridge.start()
+    watch.start(bridge.start_again)
 
 
 def _given() -> Any:
@@ -149,28 +132,20 @@ def _given() -> Any:
     for name in set(starting.empty_ports()) & set(BOARDS):
         rospy.set_param(f'~{name}/port', '')
     given = rospy.get_param('~', {})
-    if not isinstance(given, dict):
-        return given
-    return merged(master_calls.parameters_of(sys.argv, _LOGGER.warning), given)
+    before = json.loads(os.environ.pop(_PARAMETERS, '{}'))
+    if before and isinstance(given, dict):
+        given = _merged(before, given)
+        rospy.set_param('~', given)
+    return given
 
 
-def _hang_up(start: starting.Start) -> None:
-    start.stopping.set()
-    rospy.signal_shutdown('the terminal has gone')
-
-
-@contextmanager
-def _errors_naming(board: Type[Interface]) -> Iterator[None]:
-    """Turn what a board's code raises at the start into a ParameterError that names the board."""
-    try:
-        yield
-    except own_names.NAME_ERRORS:
-        raise       # its text names the topic or service
-    except (Exception, SystemExit) as error:  # pylint: disable=broad-except
-        named_by = '' if board in parameters.BUILT_IN else \
-            f'parameter {rospy.resolve_name("~boards")}: '
-        raise ParameterError(f'{named_by}the board {board.NAME} ({board.__module__}) cannot start: '
-                             f'{reason(error)}') from None
+def _merged(ours: Dict[str, Any], theirs: Dict[str, Any]) -> Dict[str, Any]:
+    """Return our parameters; a value that the new master already has takes precedence."""
+    result = {**ours, **theirs}
+    for key, value in theirs.items():
+        if isinstance(value, dict) and isinstance(ours.get(key), dict):
+            result[key] = _merged(ours[key], value)
+    return result
 
 
 def _recognisable(p: dict, given: dict) -> List[OtherBoard]:
@@ -201,22 +176,22 @@ class Bridge:
     Args:
         p: the checked parameters.
         given: the same parameters as they were given.
+        names: the resolved names of topics and services, and whose each is.
     """
 
-    def __init__(self, p: dict, given: dict) -> None:
+    def __init__(self, p: dict, given: dict, names: Dict[str, str]) -> None:
         link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER,
                                    _recognisable(p, given), _earlier)
         boards = [(board, values) for board, values in (
             (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
+        self._given = given
+        self._longest_call = p['bus/motion_timeout']
         self._interfaces, self._links = [], []
         for board, values in boards:
-            with _errors_naming(board):
-                interface = board(values, link_options)
-                if not isinstance(interface.link, Link):
-                    raise TypeError(f'its link is {interface.link!r}, must be a Link')
-                interface.link.lending.line = values['reset_line']
-                self._interfaces.append(interface)
-                self._links.append(interface.link)
+            interface = board(values, link_options)
+            interface.link.lending.line = values['reset_line']
+            self._interfaces.append(interface)
+            self._links.append(interface.link)
         if not self._links:
             ports = ', '.join(f'{board.NAME}/port' for board in p['boards'])
             rospy.logwarn(f'no port is set ({ports}): the bridge has nothing to do')
@@ -227,17 +202,15 @@ class Bridge:
         self._mounts = publish_mounts(p['base_frame_id'], {
             values[f'{name}_frame_id']: values[f'{name}_mount']
             for board, values in boards for name in board.MOUNTS})
-        self.stop_service = Stop(self._stop_order())
+        self._stop = Stop(self._stop_order(), bool(os.environ.pop(_STOPPED, '')))
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
         log = SparingLog('announcements', _LOGGER)
         self._announcements = LatestWorker('announcements', _ANNOUNCEMENT_PAUSE,
                                            partial(log_fault, log))
-        custom_names = {name: key for board in p['boards']
-                        for name, key in board.custom_names(parameters.of_board(board, p))}
         announced = [each.announced for each in self._interfaces if each.announced]
         for rows in announced:
-            rows.serve(self._announcements, custom_names, given, log, announced)
+            rows.serve(self._announcements, names, log, announced)
         self._settings_worker = LatestWorker('settings', SETTINGS_PAUSE, partial(log_fault, log))
         serve_settings(self._links, given, self._settings_worker, SparingLog('settings', _LOGGER))
 
@@ -246,14 +219,12 @@ class Bridge:
         # Not only the heartbeat's thread gets it: while any thread holds the interpreter's lock
         # and waits for the processor, the heartbeat waits, too.
         set_priority_of_all(_PRIORITY)
+        for link in self._links:
+            link.start()
+        self._stop.advertise()
         for interface in self._interfaces:
-            with _errors_naming(type(interface)):
-                interface.link.start()
-        self.stop_service.advertise()
-        for interface in self._interfaces:
-            with _errors_naming(type(interface)):
-                interface.advertise()
-                _offer_lending(interface.link)
+            interface.advertise()
+            _offer_lending(interface.link)
         self._announcements.start()
         self._settings_worker.start()
         self._diagnostics.start()
@@ -273,3 +244,17 @@ class Bridge:
         # priority it would keep the processor from the threads that it waits for. Also, a process
         # that replaces this one (execve) would inherit the priority.
         set_priority_of_all(0)
+
+    def start_again(self) -> None:
+        """At a new master: let what is under way end, stop everything, and start the node again."""
+        deadline = time.monotonic() + self._longest_call
+        while any(link.lending.under_way() for link in self._links) \
+                and time.monotonic() < deadline:
+            time.sleep(0.05)
+        self.stop()
+        time.sleep(_ANSWERED)
+        settings = wanted_values(self._links)
+        given = {**self._given, SETTINGS: {**self._given.get(SETTINGS, {}), **settings}} \
+            if settings else self._given
+        restart({_PARAMETERS: json.dumps(given, default=str),
+                 _STOPPED: 'yes' if self._stop.holds else ''})

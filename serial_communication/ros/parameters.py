@@ -3,26 +3,33 @@
 config/bridge.yaml documents them for users; a test compares the two.
 """
 import difflib
+import importlib
 import xmlrpc.client
 from typing import Any, Dict, List, Tuple, Type
 
 import rospy
 
-from ..boards import BOARDS, description, reason
+from ..boards import BOARDS, description
 from ..boards.description import ANNOUNCED
 from ..framing.custom_messages import RowError
 from ..framing.layout import brief, readable
 from ..transport.urls import identity
-from .external_boards import board_interfaces
 from .interface import Interface
 from .parameter import (RESET_LINE, Parameter, ParameterError, Parameters, frame_id, not_empty,
                         seconds)
 from .settings import start_values
 
+_COMMON = 'serial_msg', '~get_loggers', '~set_logger_level'     # names of any bridge
+
+
+def _names(given: Any) -> List[str]:
+    if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
+        raise ValueError
+    return given
+
 
 NODE_PARAMETERS: Parameters = {
-    'boards': Parameter([], unit='names of Python packages with a board',
-                        parse=lambda names: board_interfaces(names, {*BOARDS, *NODE_PARAMETERS})),
+    'boards': Parameter([], unit='names of Python packages with a board', parse=_names),
     'frame_timeout': seconds(0.05, 0.001, 10.0),
     'publish_tf': Parameter(False),
     'base_frame_id': frame_id('base_link'),
@@ -58,12 +65,13 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
     Raises:
         ParameterError: a value is wrong; the text names the parameter, its value and what it may
             be.
+        Exception: whatever the import of another package's board raises.
     """
     if not isinstance(given, dict):
         raise _not_a_group(namespace, given)
     given = dict(given)
-    interfaces = BUILT_IN + _value('boards', NODE_PARAMETERS['boards'], given.pop('boards', []),
-                                   namespace)
+    interfaces = BUILT_IN + _of_packages(
+        _value('boards', NODE_PARAMETERS['boards'], given.pop('boards', []), namespace), namespace)
     parameters = table(interfaces)
     flat = _flatten(given, {interface.NAME for interface in interfaces}, namespace)
     for interface in announcing(interfaces):
@@ -75,13 +83,28 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
         if parameter.parse is not_empty:
             values[name] = values['frame_prefix'] + values[name]
     _check_together(interfaces, values, namespace)
-    return values, [_unknown(namespace, name, flat[name], parameters)
-                    for name in sorted(flat)]
+    return values, [_unknown(namespace, name, parameters) for name in sorted(flat)]
 
 
-def check_command_line(given: Dict[str, Any], namespace: str) -> None:
-    """Raise ParameterError for a value that cannot be set on the parameter server, such as null."""
-    for name, value in _flatten(given, BOARDS, namespace).items():
+def _of_packages(names: List[str], namespace: str) -> List[Type[Interface]]:
+    """Import the boards of other packages; return their interfaces."""
+    interfaces: List[Type[Interface]] = []
+    for name in names:
+        interface = importlib.import_module(description(name).package + '.ros').INTERFACE
+        if interface.NAME in {*BOARDS, *NODE_PARAMETERS, *(each.NAME for each in interfaces)}:
+            raise ParameterError(f'parameter {namespace}/boards: the board of {name!r} is named '
+                                 f'{interface.NAME}, as another board or parameter')
+        interfaces.append(interface)
+    return interfaces
+
+
+def check_command_line(arguments: List[str], namespace: str) -> None:
+    """Raise ParameterError for a parameter that rospy cannot set at the master, such as null."""
+    try:
+        given = rospy.client.load_command_line_node_params(arguments)
+    except rospy.ROSInitException as error:
+        raise ParameterError(' '.join(str(error).split())) from None
+    for name, value in given.items():
         try:
             xmlrpc.client.dumps((value,))
         except Exception as error:  # pylint: disable=broad-except
@@ -103,33 +126,44 @@ def of_board(interface: Type[Interface], values: Dict[str, Any]) -> Dict[str, An
     return {**{name: values[name] for name in NODE_PARAMETERS}, **own}
 
 
+def resolved_names(values: Dict[str, Any], given: Dict[str, Any]) -> Dict[str, str]:
+    """Return the resolved names of all topics and services, and whose each is.
+
+    Raises:
+        ParameterError: two have one name, by a remapping or because of the node's own name; rospy
+            would mix them in silence.
+    """
+    names = {rospy.resolve_name(name): name for name in _COMMON}
+    for board, package in zip(values['boards'], (*BOARDS, *given.get('boards', ()))):
+        own = of_board(board, values)
+        named = [(name, name) for name in description(package).names] + board.custom_names(own)
+        for name, user in named if own['port'] else ():
+            full = rospy.resolve_name(name)
+            if full in names:
+                raise ParameterError(
+                    f'{full} is the name of {names[full]} and of {user}: each topic and service '
+                    'needs its own; give the node another name, or remap one of them')
+            names[full] = user
+    return names
+
+
 def _value(name: str, parameter: Parameter, value: Any, namespace: str) -> Any:
     try:
         return parameter.check(value)
     except RowError as error:
         raise ParameterError(f'parameter {namespace}/{error}') from None
-    except rospy.ROSInterruptException:
-        raise
-    except (Exception, SystemExit) as error:  # pylint: disable=broad-except
-        # The `parse` of another package may raise anything.
-        why = str(error) if isinstance(error, ValueError) else reason(error)
+    except ValueError as error:
         raise ParameterError(f'parameter {namespace}/{name} is {brief(value, 120)} '
                              f'({type(value).__name__}), {parameter.allowed()}'
-                             + (f': {why}' if why else '')) from None
+                             + (f': {error}' if str(error) else '')) from None
 
 
 def _check_together(interfaces: List[Type[Interface]], values: Dict[str, Any],
                     namespace: str) -> None:
-    names: Dict[str, str] = {}
     ports: Dict[Any, str] = {}
     for interface in interfaces:
         own = of_board(interface, values)
-        try:
-            problem = interface.problem(own)
-            custom_names = [(name, key) for name, key in interface.custom_names(own)]
-        except (Exception, SystemExit) as error:  # pylint: disable=broad-except
-            raise ParameterError(f'parameter {namespace}/boards: the board {interface.NAME} failed '
-                                 f'to check its parameters: {reason(error)}') from None
+        problem = interface.problem(own)
         if problem:
             raise ParameterError(f'parameter {namespace}/{interface.NAME}/{problem}')
         key, url = f'{namespace}/{interface.NAME}/port', own['port']
@@ -139,11 +173,6 @@ def _check_together(interfaces: List[Type[Interface]], values: Dict[str, Any],
                                  f'{ports[port]}; each link needs its own port')
         if port is not None:
             ports[port] = f'{key} ({url!r})'
-        for name, key in custom_names:
-            if name in names:
-                raise ParameterError(f'parameter {namespace}/{key} has the name of {names[name]}: '
-                                     f'both add {name}; rename one of them')
-            names[name] = key
 
 
 def _flatten(given: Dict[str, Any], groups: Any, namespace: str) -> Dict[str, Any]:
@@ -162,23 +191,7 @@ def _not_a_group(name: str, value: Any) -> ParameterError:
     return ParameterError(f'parameter {name} is {brief(value, 120)}, may be a group of parameters')
 
 
-def _unknown(namespace: str, name: str, value: Any, parameters: Parameters) -> str:
+def _unknown(namespace: str, name: str, parameters: Parameters) -> str:
     near = difflib.get_close_matches(name, parameters, 1)
-    places = _places_of_row(name, value)
-    meant = f'; this row belongs under {" or ".join(places)}' if places else \
-        f'; did you mean {near[0]}?' if near else ''
+    meant = f'; did you mean {near[0]}?' if near else ''
     return readable(f'parameter {namespace}/{name} is unknown and has no effect{meant}')
-
-
-def _places_of_row(name: str, value: Any) -> List[str]:
-    """The parameters of boards that could have this one as a row."""
-    group, _, row = name.rpartition('/')
-    found = []
-    for board in map(description, BOARDS):
-        if board.custom and isinstance(value, dict) and group in ('', board.name):
-            try:
-                board.custom.read({row: value})
-            except RowError:
-                continue
-            found.append(f'{board.name}/{board.custom.parameter}')
-    return found

@@ -6,7 +6,7 @@ its lock. So this module has the topics and the service of one, with dynamic_rec
 from functools import partial
 from math import inf
 from types import SimpleNamespace
-from typing import Any, Dict, Iterable, List, Optional, Set, Tuple
+from typing import Any, Dict, Iterable, List, Optional, Tuple
 
 import rospy
 
@@ -45,7 +45,7 @@ def serve(links: Iterable[Link], parameters: Dict[str, Any], worker: LatestWorke
     """Give the links the values that are wanted at the start, and serve their settings.
 
     Args:
-        parameters: the node's private parameters, which are set at a new master, too.
+        parameters: the node's private parameters.
         worker: calls the master.
 
     Raises:
@@ -64,27 +64,32 @@ def serve(links: Iterable[Link], parameters: Dict[str, Any], worker: LatestWorke
         settings.wanted.update(values)
         for row in settings.rows:
             settings.want(row.name, values.get(row.name))
-        server = SettingsServer(link, parameters, log)
+        server = SettingsServer(link, values, log)
         settings.on_change = partial(worker.submit, server.update)
         settings.on_change()
+
+
+def wanted_values(links: Iterable[Link]) -> Dict[str, Dict[str, Any]]:
+    """Return the values that are wanted now, as `start_values`."""
+    return {link.name: for_xml_rpc(dict(link.board_settings.wanted)) for link in links
+            if link.board_settings.wanted}
 
 
 class SettingsServer:
     """The settings of one link.
 
     Args:
-        parameters: the node's private parameters.
+        values: that the parameter server has, by name.
     """
 
-    def __init__(self, link: Link, parameters: Dict[str, Any], log: SparingLog) -> None:
+    def __init__(self, link: Link, values: Dict[str, Any], log: SparingLog) -> None:
         self._link = link
         self._settings = link.board_settings
-        self._parameters = parameters
+        self._set_values = dict(values)     # that the parameter server has
         self._log = log
         self._name = f'~{PARAMETER}/{link.name}'
         self._server: Optional[Tuple[rospy.Publisher, rospy.Publisher, rospy.Service]] = None
         self._published: List[Any] = [None, None]     # the latest description and values
-        self._unset: Set[str] = set()     # of which the parameter could not be set
         self._is_told = False     # that dynamic_reconfigure is missing
 
     def update(self) -> None:
@@ -121,21 +126,16 @@ class SettingsServer:
 
     def _set_parameters(self) -> None:
         """Set the wanted values on the parameter server, for the next start."""
-        known = self._parameters.get(PARAMETER, {})
-        before = known.get(self._link.name, {})
-        new = {name: for_xml_rpc(wanted) for name, (_, wanted, _) in self._settings.shown().items()
-               if wanted is not None and (name in self._unset or wanted != before.get(name))}
-        if new:     # as new groups: another thread may be reading these
-            self._parameters[PARAMETER] = {**known, self._link.name: {**before, **new}}
-        for name, value in new.items():
+        for name, (_, wanted, _) in self._settings.shown().items():
+            if wanted is None or wanted == self._set_values.get(name):
+                continue
             try:
-                rospy.set_param(f'{self._name}/{name}', value)
-                self._unset.discard(name)
+                rospy.set_param(f'{self._name}/{name}', for_xml_rpc(wanted))
+                self._set_values[name] = wanted
             except Exception as error:  # pylint: disable=broad-except
                 # rospy passes on what its master, or another server at its address, answers.
-                self._unset.add(name)
                 self._log.warn('parameter', f'the parameter {self._name}/{name} cannot be set now '
-                               f'({error}); it is set with the next change, or at a new roscore')
+                               f'({error}); it is set with the next change, or at a new master')
 
     def _set(self, request: Any) -> Any:
         """Want the values of a request; return those that the board uses then."""

@@ -1,5 +1,6 @@
 """The program: one simulated board on one serial port, until it is stopped."""
 import argparse
+import importlib
 import os
 import re
 import signal
@@ -9,7 +10,7 @@ import time
 from random import SystemRandom
 from typing import Any, List, NoReturn, Optional, Type
 
-from ..boards import BOARDS, BoardError, description, load
+from ..boards import BOARDS, BoardError, description
 from ..boards.description import Description
 from ..output import no_more_output, prepare_output
 from ..transport.pace import Allowance
@@ -177,7 +178,7 @@ def _of_another_package(arguments: List[str]) -> List[str]:
 
 
 def _add(boards: Any, name: str, described: Description) -> None:
-    module = load(described.package + '.simulator')
+    module = importlib.import_module(described.package + '.simulator')
     board = getattr(module, 'BOARD', None)
     if not isinstance(board, type) or not issubclass(board, Board):
         raise BoardError(f'the module {module.__name__!r} has no BOARD')

@@ -80,17 +80,14 @@ def identity(url: str) -> Optional[Hashable]:
     None: each opening leads to a different port (loop://).
     """
     url, scheme = read_url(url)
-    rest = url.partition('://')[2]
-    if scheme == 'loop' or scheme == 'hwgrep' and 'skip_busy' in rest:
+    if scheme == 'loop' or scheme == 'hwgrep' and 'skip_busy' in url:
         return None
     if scheme in NETWORK:
         host = urlsplit(url)
         return ('127.0.0.1' if host.hostname == 'localhost' else host.hostname), host.port
-    if scheme == 'hwgrep':
-        return rest
     path = url
     try:
-        path = serial.serial_for_url(url, do_not_open=True).port    # also of spy:// and alt://
+        path = serial.serial_for_url(url, do_not_open=True).port    # also of hwgrep://, spy://
         found = os.stat(path)
     except OSError:
         return os.path.realpath(path)

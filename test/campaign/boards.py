@@ -8,8 +8,7 @@ from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optio
 import by_definition as codec
 from .lines import Clock, SerialLine
 
-# s: silences that are a fence: after three lost ECHOs and a SYNC, of a board that never echoes.
-_SILENCE, _SHORT_SILENCE = 0.29, 0.019
+_SILENCE = 0.019        # s; a fence of a board that knows no ECHO
 _SILENT = 1.0            # arduino/network_silence: then the bridge drops the output of a pty
 _DROPS = 0.5             # s in which it notices that the car talks again
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
@@ -419,7 +418,7 @@ class BusBoard(Board):
         react: if set, returns another reaction to a function; None: the usual one.
         probe: likewise to SYNC and ECHO.
         in_step: False after a reset, until a SYNC.
-        lost_echoes: ECHOs since the latest one that returned.
+        echoes: whether it knows ECHO; if not, a silence is the fence.
         announces: the chunks of its announcement.
         lost_questions: so many questions for them are not answered.
         reply_has_cmd2: its replies have the CMD2 of their requests.
@@ -435,7 +434,7 @@ class BusBoard(Board):
         self.executed: 'Counter[Tuple[int, bytes]]' = Counter()
         self.react: Optional[Callable[[Request], Optional[Reaction]]] = None
         self.probe: Optional[Callable[[Request], Optional[Reaction]]] = None
-        self.in_step, self.lost_echoes = True, 0
+        self.in_step, self.echoes = True, True
         self.announces: List[bytes] = []
         self.lost_questions = 0
         self.reply_has_cmd2 = False
@@ -447,7 +446,6 @@ class BusBoard(Board):
         self._free_at = 0.0      # when the last delayed reply is written
         self._delayed: Deque[Tuple[int, bytes]] = deque()
         self._before: Optional[Request] = None
-        self._has_echoed = False     # on this connection
         self._nonces: Deque[bytes] = deque(maxlen=1000)
         self._is_new = True          # the latest nonce
         self._echoed: Deque[bytes] = deque(maxlen=100)      # replies to ECHO that were written
@@ -493,29 +491,21 @@ class BusBoard(Board):
             self._is_new = len(request.data) == 4 and not request.cmd2 \
                 and request.data not in self._nonces
             self._nonces.append(request.data)
-            self.lost_echoes += 1
         elif request.cmd1 != codec.SYNC and request.cmd2 != HALT:      # a stop needs no fence
             is_same_poll = before and before.key == request.key and request.cmd2 in (*POLLS, TICK)
             is_echoed = before and before.cmd1 == codec.ECHO and before.data in self._echoed
+            is_silent = not self.echoes and request.t - self.written_at >= _SILENCE
             self.check_fence(Fence(
                 request.t,
-                is_same_poll or is_echoed and self._is_new or self._is_silent(before, request.t),
+                is_same_poll or is_echoed and self._is_new or is_silent,
                 f'{request} came behind {before}'
                 + ', whose CMD2 is not 0, or whose nonce is not new, or has not 4 bytes'
                 * (not self._is_new)))
-
-    def _is_silent(self, before: Optional[Request], now: float) -> bool:
-        """Whether a silence is the fence: after three lost ECHOs and a SYNC, or of a board that
-        never echoes."""
-        least = _SILENCE if before and before.cmd1 == codec.SYNC else (
-            math.inf if self._has_echoed else _SHORT_SILENCE)
-        return self.lost_echoes >= 3 and now - self.written_at >= least
 
     def write(self, data: bytes) -> bool:
         self.written_at = time.monotonic()
         if data[2:3] == bytes((codec.ECHO,)):
             self._echoed.append(data[3 + self.reply_has_cmd2:-1])
-            self.lost_echoes, self._has_echoed = 0, True
         return super().write(data)
 
     def _write_in_order(self, seconds: float, reply: bytes) -> None:
@@ -537,7 +527,6 @@ class BusBoard(Board):
     def start_connection(self) -> None:
         super().start_connection()
         self._free_at, self._before = 0.0, None
-        self.lost_echoes, self._has_echoed = 0, False
 
     def clear_records(self) -> None:
         super().clear_records()

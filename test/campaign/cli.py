@@ -51,6 +51,7 @@ SHARES = (
      Group((exact_bus.polls,), exact_node.POLLING),
      Group((exact_bus.announced,), {'bus/announcements': True}),
      Group((exact_bus.one_poll,), exact_bus.ONE_POLL),
+     Group((exact_bus.never_echoes,), {'bus/echo': False}),
      Group((exact_faults.no_limits,), exact_faults.NO_LIMITS),
      Group((exact_faults.queued,), {'bus/motion_timeout': exact_faults.LONG_TIMEOUT}),
      Group((exact_parameters.others, exact_node.ends)),

@@ -22,7 +22,8 @@ QUEUE_TIME = 0.8         # s that a call may wait for its turn, in addition to i
 _ROS_TIME = 0.2          # s that ROS may take for a call
 _LATE = 0.1              # s after the timeout
 SERVICES = 'lift', 'gimbal', 'bus/request', 'press'
-_SYNC_REPEATED = 'bus: the board does not answer ECHO; SYNC is repeated'
+_NO_ECHO = 'bus: the board does not answer ECHO'
+_SYNC_REPEATED = 'bus: the board does not answer ECHO.*; SYNC is repeated'
 _NO_ANNOUNCEMENT = 'bus: the board does not answer the question for its announcement'
 _WRONG_CRC = 'bus: the CRC of the announcement does not match'
 _ASKED_AGAIN = 0.5, 1.0, 2.0, 4.0, 8.0      # s after a question for the announcement was given up
@@ -342,16 +343,28 @@ def no_sync(request: Request) -> Optional[Reaction]:
     return _LOST if request.cmd1 == codec.SYNC else None
 
 
+def no_echo(rig: Rig) -> None:
+    """A board that answers SYNC but no ECHO, and then answers."""
+    calls = Calls(rig)
+    before = len(rig.logs.find(_NO_ECHO))
+    reconnect(rig, lambda request: _LOST if request.cmd1 == codec.ECHO else None)
+    rig.wait(lambda: sum(each.cmd1 == codec.ECHO for each in rig.bus.connection_requests) > 3,
+             'ECHO is repeated', 10.0)
+    calls.call('lift', 'without ECHO', 'not sent', 0.0)
+    rig.diagnosed('bus', 2, 'does not answer ECHO')
+    logged = rig.row('what happened is in the log')
+    logged.wait(lambda: len(rig.logs.find(_NO_ECHO)) > before, 'it is logged', 10.0)
+    logged.check(not rig.logs.find(_SYNC_REPEATED), 'a board without ECHO is called silent')
+    rig.bus.probe = None
+    rig.wait_in_step()
+    calls.call('lift', 'after ECHO', 'done')
+    rig.diagnosed('bus', 0, 'ready')
+
+
 def never_echoes(rig: Rig) -> None:
-    """A board that answers no ECHO: silence is the fence."""
+    """bus/echo is false: silence is the fence."""
     quiet = rig.row('a board that never echoes: 20 ms of silence before each call')
     calls = Calls(rig)
-    silences = len(rig.logs.find(_SYNC_REPEATED))
-    with rig.counted(rig.row('the counters in /diagnostics are exact'), 'bus', {'timeouts': 3}):
-        # It answers SYNC twice: the silence after it begins anew.
-        reconnect(rig, lambda request: _LOST if request.cmd1 == codec.ECHO else Reaction(
-            [(0, OK), (0.2, OK)]))
-        quiet.wait(lambda: rig.robot.call('probe').success, 'calls are possible')
     for index in range(8):
         written_at = rig.bus.written_at
 
@@ -364,21 +377,16 @@ def never_echoes(rig: Rig) -> None:
         rig.bus.react = react
         calls.call(('lift', 'bus/request')[index % 2], 'without ECHO', 'done')
         calls.own_reply.check(not rig.robot.call('probe').success, 'another reply was used')
-    rig.bus.react = lambda request: _replied(reply_frame(codec.OK, b'1234'))
-    calls.call('lift', 'without ECHO, OK with data', 'not known')
+    with rig.counted(rig.row('the counters in /diagnostics are exact'), 'bus', {'timeouts': 1}):
+        rig.bus.react = lambda request: _replied(reply_frame(codec.OK, b'1234'))
+        calls.call('lift', 'without ECHO, OK with data', 'not known')
+    for code in codec.BAD_CHECKSUM, 0x20:
+        rig.bus.react = lambda request: _replied(_refusal(code))
+        call = calls.start('lift')
+        calls.check(call, 'without ECHO, INVALID', 'not known', 0.0)
+        calls.check_received(call.key, 1, 'without ECHO, INVALID')
+    quiet.check(codec.ECHO not in [each.cmd1 for each in rig.bus.requests], 'an ECHO')
     rig.bus.react = None
-    rig.row('what happened is in the log').check(
-        len(rig.logs.find(_SYNC_REPEATED)) == silences, 'a board without ECHO is called silent')
-    reconnect(rig, lambda request: Reaction([(REPLY_TIMEOUT + _LATE, OK)])
-              if request.cmd1 == codec.ECHO else None)
-    rig.row(FENCED).wait(
-        lambda: sum(each.cmd1 == codec.ECHO for each in rig.bus.connection_requests) >= 3,
-        'three ECHOs, answered late', 10.0)
-    rig.bus.probe = None
-    rig.wait(lambda: rig.robot.call('bus/sync').success, 'in step')
-    calls.call('lift', 'of a board that echoes late', 'done')
-    reconnect(rig)
-    rig.wait(lambda: rig.robot.call('probe').success, 'another board, which echoes')
 
 
 def unanswered_sync(rig: Rig) -> None:
@@ -656,5 +664,5 @@ def one_poll(rig: Rig) -> None:
 
 
 ONE_POLL = {'bus/environment_period': 1.0, 'bus/environment_datelen': 0}
-SERIAL = (outcomes, no_replies, readings, functions, queue, never_echoes, unanswered_sync,
+SERIAL = (outcomes, no_replies, readings, functions, queue, no_echo, unanswered_sync,
           interrupted, dribble, suspended_caller)

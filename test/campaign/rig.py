@@ -80,6 +80,7 @@ class Rig(Stage):
         self.bridge_number += 1
         self._parameters = parameters
         self.bus.reply_has_cmd2 = parameters.get('bus/reply_has_cmd2', False)
+        self.bus.echoes = parameters.get('bus/echo', True)
         ports = {link: line.port for link, line in self.lines.items()}
         self.bridge_name = f'bridge_{self.bridge_number}'
         self.child_bridge = self.bridge(

@@ -148,8 +148,7 @@ class Storm:
         return received
 
     def _to_bus_board(self, data: bytes, now: float) -> None:
-        """An ECHO is never damaged: three lost ones make a board one that never echoes, and
-        silence is its fence."""
+        """An ECHO is never damaged: after three lost ones no call is sent."""
         for frame in codec.decode(data, codec.request_at)[0]:
             sent = data[frame.start:frame.end]
             received = self._to_bus.pass_on(sent, frame.type != codec.ECHO)

@@ -1,4 +1,4 @@
-"""The pages of the documentation, with their headings, links and commands."""
+"""The pages of the documentation, with their links, headings and blocks of commands."""
 import re
 from pathlib import Path
 from typing import List, NamedTuple
@@ -38,10 +38,10 @@ def blocks(page: Path) -> List[Block]:
     return found
 
 
-def prose(page: Path) -> str:
-    """Return a page without fenced blocks and code."""
-    text = _FENCE.sub('', page.read_text())
-    return re.sub(r'`[^`\n]*`', '', text)
+def links(page: Path) -> List[str]:
+    """Return the targets of a page's links, except those to other hosts."""
+    prose = re.sub(r'`[^`\n]*`', '', _FENCE.sub('', page.read_text()))
+    return [link for link in re.findall(r'!?\[[^\]]*\]\(([^)\s]+)\)', prose) if '://' not in link]
 
 
 def anchors(page: Path) -> List[str]:

@@ -1,163 +1,174 @@
-"""Runs every command of the pages, except those marked as needing a board.
+"""Runs the commands of the pages, and the boot unit's.
 
 A comment right before a block of commands tells how to run it:
 
-    <!-- run: bridge -->       beside a bridge with simulated boards
+    <!-- run: bridge -->       beside a bridge with simulated boards, as each Python example
+    <!-- run: first -->        before the next launch, and in each terminal from then on
     <!-- run: launch -->       each line starts a bridge, whose links all become OK
+    <!-- run: beside -->       beside the bridge of the last launch
     <!-- run: background -->   all at the same time; then the bus link becomes OK
-    <!-- run: play -->         all at the same time, the last after the bridge has opened, with
-                               a recording drive.bag; then the arduino link becomes OK
-    <!-- run: panel -->        a bridge, whose links become OK, and the page at its address
-    <!-- run: avr -->          beside a bridge with emulated boards, their folder in $SIM_DIR
-    <!-- run by: PART -->      by that part of scripts/test
-    <!-- file: NAME -->        not a command: by test/ros/external_board_test.py
+    <!-- file: NAME -->        not a command: a file that the commands of the page need
+    <!-- run by: PART -->      by a test in that part of scripts/test
     <!-- needs a board -->     not run; likewise `needs a screen`, `a container`, `a network`,
                                `a workspace`
 """
+import contextlib
+import os
 import re
+import signal
+import subprocess
 import sys
-import urllib.request
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
 from pages import PAGES, ROOT, blocks
-from stage import Stage
-from waiting import PATIENCE, again_if_stalled
+from waiting import PATIENCE, again_if_stalled, until
 
-sys.path.insert(0, str(ROOT / 'test' / 'firmware'))
-from emulated_board import build_firmware  # noqa: E402
+sys.path.insert(0, str(ROOT / 'test' / 'ros'))
+from boards import ERROR, OK, Master  # noqa: E402
 
 BLOCKS = [block for page in PAGES for block in blocks(page)]
-PYTHON = [block for block in BLOCKS if block.language == 'python' and not block.mark]
-BESIDE = PYTHON + [block for block in BLOCKS if block.mark == 'run: bridge']
+BESIDE = [block for block in BLOCKS if block.mark == 'run: bridge'
+          or block.language == 'python' and not block.mark]
+BACKGROUND = [block for block in BLOCKS if block.mark == 'run: background']
 LINKS = ('bus', 'arduino', 'mcu')
-NODE = '/serial_communication'
-NEEDS = ('board', 'screen', 'container', 'network', 'workspace')
-RUN = ('bridge', 'launch', 'background', 'play', 'panel', 'avr')
+UNIT = ROOT / 'config' / 'serial_communication.service'
 
 
-def marked(mark):
-    """Parametrize a test with the blocks of commands that have this mark."""
-    return pytest.mark.parametrize('block', [
-        block for block in BLOCKS if block.language == 'sh' and block.mark == mark],
-        ids=lambda block: getattr(block, 'id', 'none'))
+def launches():
+    """Each line that starts a bridge, with what comes first, and the commands beside it."""
+    found, first = [], ''
+    for block in BLOCKS:
+        if block.mark == 'run: first':
+            first = block.text
+        elif block.mark == 'run: launch':
+            found += [(first, line, []) for line in lines(block) if 'sim:=avr' not in line]
+            first = ''
+        elif block.mark == 'run: beside':
+            found[-1][2].extend(lines(block))
+    return [each for number, each in enumerate(found) if each not in found[:number]]
 
 
 def lines(block):
-    """Return the commands of a block with one command per line."""
+    """The commands of a block with one command per line."""
     return [line.partition('  #')[0].strip() for line in block.text.splitlines() if line.strip()]
 
 
-@pytest.fixture(scope='module')
-def master(tmp_path_factory):
-    with Stage(tmp_path_factory.mktemp('docs')).master() as stage:
+class Stage:
+    """A ROS master, and a folder with the files of the pages in which commands run."""
+
+    def __init__(self, folder):
+        self.folder, self.levels = folder, {}
+        for block in BLOCKS:
+            if block.mark.startswith('file: '):
+                path = folder / block.mark.partition(' ')[2]
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(block.text)
+        rospy.init_node('pages', disable_signals=True)
+        rospy.Subscriber('/diagnostics', DiagnosticArray, self._take)
+
+    def _take(self, message):
+        for status in message.status:
+            if status.values:       # else it only says that the node starts
+                # Some versions of genpy have bytes here.
+                level = ord(status.level) if isinstance(status.level, bytes) else status.level
+                link = status.name.rpartition(': ')[2].split()[0]
+                self.levels[link] = min(level, self.levels.get(link, level))
+
+    @contextlib.contextmanager
+    def background(self, *commands):
+        """Run commands until the block ends, without parameters of a bridge that ran before."""
+        self.levels, running = {}, []
+        if rospy.has_param('/serial_communication'):
+            rospy.delete_param('/serial_communication')
+        try:
+            with (self.folder / 'output').open('a') as output:
+                for command in commands:
+                    running.append(subprocess.Popen(
+                        ['bash', '-e', '-c', command], cwd=str(self.folder), stdout=output,
+                        stderr=output, stdin=subprocess.DEVNULL, start_new_session=True))
+            yield
+        finally:
+            for process in reversed(running):
+                for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+                    with contextlib.suppress(OSError, subprocess.TimeoutExpired):
+                        os.killpg(process.pid, number)
+                        process.wait(15)
+
+    def until_links(self, *links, worst=OK):
+        """Wait until each link was at this level or a better one."""
+        try:
+            until(lambda: all(self.levels.get(link, ERROR + 1) <= worst for link in links))
+        except AssertionError:
+            output = (self.folder / 'output').read_text(errors='replace')
+            raise AssertionError(f'{links}: {self.levels}\n{output}') from None
+
+    def succeeds(self, command):
+        """Run commands, again if they fail: a bridge may refuse calls after a stall."""
+        def attempt():
+            done = subprocess.run(
+                ['bash', '-e', '-o', 'pipefail', '-c', command], cwd=str(self.folder),
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                text=True, timeout=3 * PATIENCE)
+            print(done.stdout)
+            return not done.returncode and 'success: False' not in done.stdout
+        again_if_stalled(attempt, tries=3)
+
+
+@pytest.fixture(scope='module', name='stage')
+def fixture_stage(tmp_path_factory):
+    master = Master()
+    os.environ.update(ROS_MASTER_URI=master.uri, PATH=f'/usr/bin:{os.environ["PATH"]}')
+    try:
+        master.start()
+        yield Stage(tmp_path_factory.mktemp('pages'))
+    finally:
+        master.end()
+
+
+def test_every_block_of_commands_has_a_mark():
+    known = r'run: (bridge|first|launch|beside|background)|run by: scripts/test \w+|' \
+        'needs a (board|screen|container|network|workspace)'
+    assert [block.id for block in BLOCKS
+            if block.language == 'sh' and not re.fullmatch(known, block.mark)] == []
+
+
+@pytest.mark.parametrize('first, launch, commands', launches())
+def test_a_launched_bridge_becomes_ok(first, launch, commands, stage):
+    with stage.background(f'{first}\n{launch}'):
+        # With faults on the lines, errors are expected.
+        stage.until_links(*LINKS, worst=ERROR - 1 if 'faults:=' in launch else OK)
+        for command in commands:
+            stage.succeeds(f'{first}\ntimeout {PATIENCE:g} {command}')
+
+
+@pytest.mark.parametrize('block', BACKGROUND, ids=lambda block: block.id)
+def test_commands_in_the_background_make_a_link_ok(block, stage):
+    with stage.background(*lines(block)):
+        stage.until_links('bus')
+
+
+def test_the_command_of_the_boot_unit_starts_the_bridge(stage):
+    command = re.search('^ExecStart=(.*)$', UNIT.read_text(), re.MULTILINE).group(1)
+    with stage.background(command.replace('/home/robot/catkin_ws', str(ROOT / 'build')).replace(
+            '/home/robot/boards.yaml', str(ROOT / 'config' / 'bridge.yaml'))):
+        stage.until_links(*LINKS, worst=ERROR)
+
+
+@pytest.fixture(scope='module', name='bridge')
+def fixture_bridge(stage):
+    """The stage, beside a bridge with simulated boards, which ends with the last test."""
+    with stage.background(
+            'roslaunch serial_communication bridge.launch sim:=true publish_tf:=true'):
+        stage.until_links(*LINKS)
         yield stage
 
 
-@pytest.fixture(scope='module')
-def bridge(tmp_path_factory):
-    """A master, and a bridge with simulated boards."""
-    with Stage(tmp_path_factory.mktemp('bridge')).master() as stage, stage.background([
-            'roslaunch serial_communication bridge.launch sim:=true publish_tf:=true '
-            f'sim_dir:={stage.folder}/sim']):
-        stage.until(lambda: stage.links_are_ok(*LINKS), 'all links are OK')
-        yield stage
-
-
-@pytest.fixture(scope='module')
-def beside(bridge):
-    """The results of the blocks beside the bridge, by id. Three run at a time, since most only
-    wait."""
-    def run(block):
-        if block.language == 'sh':
-            return bridge.run_while_ok(block.text, *LINKS)
-        program = bridge.folder / f'example_{block.line}.py'
-        program.write_text(block.text)
-        return bridge.run(f'/usr/bin/python3 {program}')
-
-    with ThreadPoolExecutor(3) as pool:
-        yield {block.id: pool.submit(run, block) for block in BESIDE}
-
-
-def test_every_block_of_commands_has_a_valid_mark():
-    parts = re.search(r'^parts=\(([^)]*)\)$', (ROOT / 'scripts' / 'test').read_text(), re.M)
-    for block in BLOCKS:
-        if block.language != 'sh':
-            continue
-        kind, _, part = block.mark.partition('run by: scripts/test ')
-        assert block.mark in (
-            *(f'needs a {each}' for each in NEEDS), *(f'run: {each}' for each in RUN)) or (
-                not kind and part in parts.group(1).split()), f'{block.id}: {block.mark!r}'
-
-
-@marked('run: bridge')
-def test_a_block_beside_a_bridge_succeeds(block, beside):
-    done = beside[block.id].result()
-    assert done.returncode == 0, done.stdout
-
-
-_LAUNCHED = set()     # lines that have run
-
-
-@marked('run: launch')
-def test_each_launched_bridge_becomes_ok(block, master):
-    for line in lines(block):
-        if 'sim:=avr' in line or line in _LAUNCHED:
-            continue        # needs emulated boards, or has run for another page
-        with master.background([f'{line} sim_dir:={master.folder}/launch']):
-            # With faults on the lines, errors are expected.
-            master.until(lambda: master.links_are_ok(*LINKS, or_warn='faults:=' in line),
-                         'all links are OK')
-        master.until(lambda: not master.node_answers(NODE), 'the bridge has ended')
-        _LAUNCHED.add(line)
-
-
-@marked('run: panel')
-def test_the_panel_serves_its_page(block, master):
-    line, = lines(block)
-    with master.background([f'{line} sim_dir:={master.folder}/panel '
-                            'panel_args:="--port 0"']):
-        master.until(lambda: master.links_are_ok(*LINKS), 'all links are OK')
-        master.until(lambda: 'panel: http://' in master.output(), 'the page has an address')
-        address = re.search(r'panel: (\S+)', master.output()).group(1)
-        with urllib.request.urlopen(address, timeout=PATIENCE) as page:
-            assert b'<html' in page.read()
-
-
-@marked('run: background')
-def test_commands_in_the_background_make_a_link_ok(block, master):
-    with master.background(lines(block)):
-        master.until(lambda: master.links_are_ok('bus'), 'the link is OK')
-
-
-@marked('run: play')
-def test_a_recording_makes_a_link_ok(block, master, bridge):
-    done = bridge.run(f'rosbag record --duration 5 -O {master.folder}/drive.bag /serial_msg')
-    assert done.returncode == 0, done.stdout
-    *there, play = lines(block)
-    with master.background(there):
-        master.until(lambda: '/tmp/bridge: open' in master.output(), 'the port is open')
-        with master.background([play]):
-            master.until(lambda: master.links_are_ok('arduino'), 'the link is OK')
-
-
-@marked('run: avr')
-def test_a_block_beside_emulated_boards_succeeds(block, master):
-    build_firmware()    # may take longer than `until` waits for a launch
-    folder = master.folder / 'avr'
-    master.environment['SIM_DIR'] = str(folder)
-    with master.background([
-            f'roslaunch serial_communication bridge.launch sim:=avr sim_dir:={folder}']):
-        master.until(lambda: master.links_are_ok(*LINKS), 'all links are OK')
-
-        def answers():      # socat waits for the answer for 0.5 s
-            done = master.run(block.text)
-            assert done.returncode == 0, done.stdout
-            return done.stdout.strip()
-        again_if_stalled(answers)
-
-
-@pytest.mark.parametrize('block', PYTHON, ids=lambda block: getattr(block, 'id', 'none'))
-def test_a_python_example_succeeds(block, beside):
-    done = beside[block.id].result()
-    assert done.returncode == 0 and 'Traceback' not in done.stdout, done.stdout
+@pytest.mark.parametrize('block', BESIDE, ids=lambda block: block.id)
+def test_commands_beside_a_bridge_succeed(block, bridge):
+    command = block.text
+    if block.language == 'python':
+        (bridge.folder / 'example.py').write_text(command)
+        command = '/usr/bin/python3 example.py'
+    bridge.succeeds(command)

@@ -119,6 +119,21 @@ def test_a_value_outside_its_limits_is_implausible(limits, raw, plausible):
     assert (not frame.cause) == plausible
 
 
+@pytest.mark.parametrize('layout, maximum, scale, at, beyond', [
+    ('<h', 0.3, 0.1, 3, 4), ('<h', 0.36, 0.1, 3, 4), ('<B', 2.805, 0.011, 255, None),
+    ('<I', 4000000129, 1, 4000000129, 4000000130), ('<f', 0.6, 1, 0.6, 0.60001),
+    ('<f', 0.7, 0.1, 7, 7.00001), ('<e', 0.6, 1, 0.6, 0.602), ('<B*', 0.3, 0.1, 3, 4)])
+def test_a_limit_takes_its_own_value(layout, maximum, scale, at, beyond):
+    kind = message(layout, ['data'], maximum=maximum, minimum=-maximum * layout.islower(),
+                   scale=scale)
+    assert received(kind, struct.pack(layout[:2], at))[1] == {}
+    for value in maximum, struct.unpack('<f', struct.pack('<f', maximum))[0]:
+        command = kind((value,) if '*' in layout else value)
+        assert not command.implausible() or value > maximum + scale
+    if beyond:
+        assert received(kind, struct.pack(layout[:2], beyond))[1] == {IMPLAUSIBLE: 1}
+
+
 def test_limits_hold_for_each_number_of_an_array():
     kind = message('<B*', ['ranges'], maximum=9)
     assert received(kind, b'\1\x09')[1] == {}

@@ -84,7 +84,7 @@ def test_a_float_has_the_fewest_digits_that_are_this_float32(number):
 
 
 @pytest.mark.parametrize('changes, values', [
-    ({}, [-0.1, 10.1, math.nan, math.inf, 'text', None, [1.0]]),
+    ({}, [-0.1, 10.1, 10.000001, math.nan, math.inf, 'text', None, [1.0]]),
     ({'layout': '<B', 'minimum': 3, 'maximum': None}, [2, 256, -1]),
     ({'layout': '<?', 'minimum': None, 'maximum': None}, [2, -1]),
     ({'minimum': None, 'maximum': None}, [1e39, math.inf])])
@@ -103,6 +103,10 @@ def test_what_a_limit_is_rounded_to_is_allowed(one, other):
     for value in one, other, setting.minimum, setting.maximum, setting.default:
         rounded = setting.checked(value)
         assert setting.checked(rounded) == rounded
+
+
+def test_a_limit_that_a_float32_has_changed_is_allowed():
+    assert row(maximum=0.6).checked(0.6000000238418579) == 0.6
 
 
 def test_the_default_of_a_row_whose_positive_minimum_rounds_down_is_allowed():

@@ -38,7 +38,7 @@ class Stage:
     def __init__(self, failing=()):
         self.up = {}            # rows that are made, by name
         self.made = 0
-        self.names = {'~pump': 'bus/announced/pump'}
+        self.names = {'/unnamed/pump': 'bus/announced/pump'}
         self._failing = failing
         log = SparingLog('arduino', logging.getLogger('fuzz'))
         self.link = SimpleNamespace(name='arduino', log=log, announcement=BoardAnnouncement(log))
@@ -60,9 +60,11 @@ class Stage:
         in_use = self.rows.update(text, self.names)
         assert set(in_use) == set(self.up) == set(self.link.announcement.rows)
         assert self.link.announcement._in_use == text
-        assert self.names == {'~pump': 'bus/announced/pump',
-                              **{('~settings/arduino/' if isinstance(row, Setting) else '~') + name:
-                                 f'arduino/announced/{name}' for name, row in self.up.items()}}
+        prefixes = {name: 'settings/arduino/' if isinstance(row, Setting) else ''
+                    for name, row in self.up.items()}
+        assert self.names == {'/unnamed/pump': 'bus/announced/pump', **{
+            f'/unnamed/{prefix}{name}': f'arduino/announced/{name}'
+            for name, prefix in prefixes.items()}}
         return in_use
 
 
@@ -111,7 +113,7 @@ def test_the_parameter_of_the_rows_is_set_again_until_the_master_answers(monkeyp
 
     monkeypatch.setattr('rospy.set_param', set_param)
     worker = SimpleNamespace(submit=waiting.append)
-    stage.rows.serve(worker, stage.names, {}, stage.link.log, [stage.rows])
+    stage.rows.serve(worker, stage.names, stage.link.log, [stage.rows])
     text = write_announcement({'force': dict(ROW, type=38)})
     stage.link.announcement.on_text(stage.link.announcement.assembly.whole(text))
     for _ in range(3):

@@ -10,7 +10,6 @@ from functools import partial
 
 import waiting
 from fake_bus import FakeBus
-from heartbeats import longest_gap
 from lines import Tty
 from waiting import PATIENCE
 
@@ -217,10 +216,6 @@ class CarBoard(Board):
         """Wait for that many heartbeats from now on."""
         wanted = self.heartbeats() + number
         waiting.until(lambda: self.heartbeats() >= wanted, '%d heartbeats' % number)
-
-    def longest_gap(self, rate=100.0):
-        """The longest time between two heartbeats, in s, at least, as the bridge sent them."""
-        return longest_gap(self.heartbeat_times, rate)
 
     def wait_for_heartbeat_rate(self, least, most, number=100):
         """Wait until the rate of `number` heartbeats is between these limits, in Hz.

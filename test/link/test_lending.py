@@ -486,10 +486,22 @@ def test_a_pulse_that_fails_is_reported_and_the_port_is_opened_again(line, car):
     back(car)
 
 
-def test_a_car_that_calibrates_and_a_closed_port_are_not_reset(line, car):
+def test_a_reset_ends_a_calibration_with_speed_0_first(lines_of_port, line, running, logger):
+    changes = []
+    car = running(ArduinoLink(Port(line.path), STEADY, logger=logger,
+                              on_calibrating=changes.append))
+    until(lambda: car.heartbeats_sent)
     car.calibrate_imu()
-    assert reset_by(car, 'dtr') == refused(
-        'not now: the board calibrates its IMU, which takes minutes')
+    del lines_of_port[:]
+    until(lambda: line.read(1.0))
+    assert reset_by(car, 'dtr') == (True, 'reset by DTR')
+    assert packets(lines_of_port[0][3])[-1] == STOP and changes == [True, False]
+    until(lambda: car.connection.number == 2)
+    back(car)
+    car.set_speed(1)
+
+
+def test_a_closed_port_is_not_reset(line, car):
     line.unplug()
     until(lambda: not car.port.is_open)
     assert reset_by(car, 'dtr') == refused('the port is closed')

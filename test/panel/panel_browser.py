@@ -154,11 +154,6 @@ class Browser:
         return [entry for entry in self.driver.get_log('browser')
                 if entry['level'] in ('SEVERE', 'WARNING')]
 
-    def accessibility(self):
-        """The nodes of the accessibility tree, as screen readers get them."""
-        tree = self.driver.execute_cdp_cmd('Accessibility.getFullAXTree', {})['nodes']
-        return [node for node in tree if not node.get('ignored')]
-
     # -- input -----------------------------------------------------------------------------
 
     def _actions(self):
@@ -227,14 +222,6 @@ class Browser:
         finally:
             self._send(signal.SIGCONT, processes)
 
-    @contextlib.contextmanager
-    def killed(self):
-        """Before this block, kill every process of the browser; the value is when that began."""
-        processes = self._processes()
-        began = time.monotonic()
-        self._send(signal.SIGKILL, processes)
-        yield began
-
     @staticmethod
     def _send(number, processes):
         for process in processes:
@@ -261,43 +248,3 @@ class Browser:
         finally:
             self.driver.close()
             self.driver.switch_to.window(here)
-
-    @contextlib.contextmanager
-    def window_opened_by(self, selector):
-        """Inside this block, the window that a click on this element opens is in front."""
-        here, before = self.driver.current_window_handle, set(self.driver.window_handles)
-        self.click(selector)
-        until(lambda: set(self.driver.window_handles) - before, 'a window opens', every=0.01)
-        self.driver.switch_to.window((set(self.driver.window_handles) - before).pop())
-        try:
-            yield
-        finally:
-            self.driver.close()
-            self.driver.switch_to.window(here)
-
-    @contextlib.contextmanager
-    def first_in_documents(self, script):
-        """Documents that this window loads inside this block begin with this script."""
-        added = self.driver.execute_cdp_cmd(
-            'Page.addScriptToEvaluateOnNewDocument', {'source': script})
-        yield
-        self.driver.execute_cdp_cmd('Page.removeScriptToEvaluateOnNewDocument', added)
-
-    def click_now(self, selector, count=1):
-        """Click the middle of this element at once, whatever its state.
-
-        Args:
-            count: 2: a double click.
-        """
-        self.click_at(*self.script("""
-            const element = document.querySelector(arguments[0]);
-            element.scrollIntoView({block: 'center'});
-            const {left, top, width, height} = element.getBoundingClientRect();
-            return [left + width / 2, top + height / 4];""", selector), count)
-
-    def click_at(self, x, y, count=1):
-        """Click at this place of the window; a `count` of 2 is a double click."""
-        for number in range(1, count + 1):
-            for what in 'mousePressed', 'mouseReleased':
-                self.driver.execute_cdp_cmd('Input.dispatchMouseEvent', {
-                    'type': what, 'x': x, 'y': y, 'button': 'left', 'clickCount': number})

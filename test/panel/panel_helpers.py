@@ -62,10 +62,6 @@ class Core:
         until(rosgraph.is_master_online, 'the master answers', 60, every=0.1)
         until(lambda: '/rosout' in publishers_and_subscribers()[1], 'roscore is complete')
 
-    def hung(self):
-        """Inside this block, it accepts connections and answers nothing."""
-        return suspended(rosgraph.Master('/panel_test').getPid())    # roscore only supervises it
-
     def stop(self):
         """Stop it, and wait until it has ended."""
         self._process.send_signal(signal.SIGINT)
@@ -230,7 +226,7 @@ def request(port, path, body, headers):
 
 
 class Network:
-    """A network between a browser and a panel that can be cut or delayed: socat."""
+    """A network between a browser and a panel that can be cut: socat."""
 
     def __init__(self, panel):
         self.port = free_port()
@@ -252,15 +248,6 @@ class Network:
             yield
         finally:
             self._begin()
-
-    @contextlib.contextmanager
-    def delayed(self):
-        """Inside this block, nothing is delivered in either direction; then everything at once."""
-        self._send(signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            self._send(signal.SIGCONT)
 
     def _begin(self):
         self._process = subprocess.Popen(self._command, start_new_session=True)

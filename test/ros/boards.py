@@ -28,7 +28,6 @@ from fake_bus import AIR  # noqa: E402,F401
 from lines import Line  # noqa: E402,F401
 from programs import Output, free_master  # noqa: E402
 from waiting import PATIENCE, Waiter, again_if_stalled, until  # noqa: E402,F401
-from witness import Witness  # noqa: E402
 
 PACKAGE = 'serial_communication'
 OK, WARN, ERROR = 0, 1, 2    # levels of diagnostics
@@ -103,22 +102,17 @@ class Bridge:
         self.process.wait(PATIENCE)
 
     def end(self, number=signal.SIGINT):
-        """Send a signal; return the seconds until the process has ended, and its status.
-
-        They are those of a machine that has time: see witness.py.
-        """
-        with Witness(work=0.02, period=0.1) as witness:
-            began = time.monotonic()
-            if self.alive:
-                self.process.send_signal(number)
-            try:
-                status = self.process.wait(PATIENCE)
-            except subprocess.TimeoutExpired:
-                self.process.kill()
-                self.process.wait(PATIENCE)
-                raise AssertionError('still runs %g s after signal %d' % (PATIENCE, number))
-            seconds = time.monotonic() - began
-        return seconds / witness.slowdown, status
+        """Send a signal; return the seconds until the process has ended, and its status."""
+        began = time.monotonic()
+        if self.alive:
+            self.process.send_signal(number)
+        try:
+            status = self.process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait(PATIENCE)
+            raise AssertionError('still runs %g s after signal %d' % (PATIENCE, number))
+        return time.monotonic() - began, status
 
 
 class Master:

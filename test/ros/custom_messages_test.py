@@ -36,7 +36,7 @@ from serial_communication.framing import announcement, cobs
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.ros.answers import read_error, read_response
-from serial_communication.ros.parameters import ParameterError, check
+from serial_communication.ros.parameters import ParameterError, check, resolved_names
 from serial_communication.ros.custom_topics import taken_names
 from serial_communication.srv import GetEnvironment, Lift
 
@@ -703,10 +703,11 @@ class Mistakes(unittest.TestCase):
                 ('arduino/messages', 'voltage', FORCE), ('arduino/messages', 'lift', FORCE),
                 ('mcu/messages', 'range_1', FORCE), ('bus/functions', 'gimbal', PUMP)):
             self.assert_mistake(group, name, row, '', 'may not be a name that the bridge uses')
-        with self.assertRaisesRegex(ParameterError,
-                                    'arduino/messages/both has the name of .*bus/functions/both'):
-            check({'arduino': {'messages': {'both': FORCE}},
-                   'bus': {'functions': {'both': PUMP}}}, '/node')
+        given = {'arduino': {'port': '/dev/a', 'messages': {'both': FORCE}},
+                 'bus': {'port': '/dev/b', 'functions': {'both': PUMP}}}
+        with self.assertRaisesRegex(ParameterError, '/both is the name of bus/functions/both and '
+                                                    'of arduino/messages/both'):
+            resolved_names(check(given, '/node')[0], given)
         # These names differ: mcu/imu is not ~imu, and a topic may have the name of a parameter.
         check({'arduino': {'messages': {'status': FORCE, 'port': dict(FORCE, type=33)}},
                'mcu': {'messages': {'voltage': FORCE}}}, '/node')

@@ -74,17 +74,13 @@ class Arguments(unittest.TestCase):
                 including.flush()
                 self.assertEqual(self.ports(path=including.name), ports, sim)
 
-    def test_values_of_sim_turn_the_simulation_on_or_off(self):
-        for value in '1', 'YES', 'on', 'True', 'avr', '0', 'No', 'off', 'FALSE':
-            port = self.ports('sim:=' + value)[0]
-            if value in ('0', 'No', 'off', 'FALSE'):
-                self.assertEqual(port, '/dev/ttyS0', value)
-            else:
-                self.assertTrue(port.startswith('/tmp/serial_communication-'), (value, port))
+    def test_with_simulated_boards_no_real_port_is_used(self):
+        for sim in 'true', 'avr':
+            self.assertEqual(self.ports('sim:=' + sim, 'sim_dir:=/x', 'bus_port:=/dev/a'),
+                             ['/x/bus', '/x/arduino', '/x/mcu'], sim)
 
     def test_a_wrong_value_of_sim_ends_the_launch_with_a_clear_error(self):
-        with self.assertRaisesRegex(roslaunch.RLException, 'sim:=maybe is wrong; it may be true, '
-                                    '1, yes, on, avr, false, 0, no or off'):
+        with self.assertRaisesRegex(roslaunch.RLException, 'sim_is_true_false_or_avr/maybe'):
             self.parameters('sim:=maybe')
 
     def test_two_launches_use_different_folders_for_their_boards(self):
@@ -183,14 +179,14 @@ class Launch(BoardsTest):
             again_if_stalled(succeeds)
         self.assertEqual(service('/serial_communication/lift', Lift)(2, 100).status, NOT_SENT)
         port = rospy.get_param('/serial_communication/mcu/port')
-        self.assertTrue(port.startswith('/tmp/serial_communication-'), port)
+        self.assertTrue(port.startswith('/tmp/boards_'), port)
         found = Diagnostics().wait_for_all(('bus', 'arduino', 'mcu'),
                                            lambda s, _link: s.level == OK, 'OK')
         self.assertEqual(found['mcu'].hardware_id, port)
         until(calibrates, 'the board calibrates', every=0.1)
         topics[3].first(lambda m: m.data)
         self.end()
-        until(lambda: not os.path.exists(os.path.dirname(port)), 'the folder is removed')
+        until(lambda: not os.path.lexists(port), 'the port is removed')
 
 
 if __name__ == '__main__':

@@ -76,6 +76,7 @@ class ParameterTable(unittest.TestCase):
     def test_the_defaults_of_the_contract(self):
         for name, value in (('bus/environment_period', 1.0), ('arduino/heartbeat_rate', 100.0),
                             ('bus/environment_datelen', 2), ('bus/reply_has_cmd2', False),
+                            ('bus/echo', True),
                             ('bus/reply_timeout', 0.5), ('bus/motion_timeout', 5.0),
                             ('bus/retries', 2), ('arduino/speed_timeout', 0.5),
                             ('arduino/check_plausibility', True), ('mcu/timeout', 1.0),
@@ -113,7 +114,7 @@ class ParameterTable(unittest.TestCase):
 
 
 class ExternalBoards(unittest.TestCase):
-    """Boards of other packages, and mistakes in them."""
+    """Boards of other packages."""
 
     BOARD = """
 from serial_communication.ros.interface import Interface
@@ -134,22 +135,14 @@ class INTERFACE(Interface):
         path.start()
         self.addCleanup(path.stop)
 
-    def module(self, text):
-        """Create a module with this text, which records each import; return its name."""
-        name = f'external_board_{next(self.NUMBERS)}'
-        Path(self.folder, name + '.py').write_text(
-            f"open(__file__ + '.imports', 'a').write('x')\n{text}\n")
-        return name
-
-    def board(self, interface, name='wind'):
-        """Create a package with this ros.py (None: without one); return its import name."""
+    def board(self, interface):
+        """Create a package with this ros.py; return its import name."""
         package = Path(self.folder, f'external_board_{next(self.NUMBERS)}')
         package.mkdir()
         (package / '__init__.py').write_text(
             'from serial_communication.boards.description import Description\n'
-            f'DESCRIPTION = Description({name!r}, __name__, None)\n')
-        if interface is not None:
-            (package / 'ros.py').write_text(interface)
+            "DESCRIPTION = Description('wind', __name__, None)\n")
+        (package / 'ros.py').write_text(interface)
         return package.name
 
     def assert_refused(self, given, *said):
@@ -161,81 +154,16 @@ class INTERFACE(Interface):
         self.assertNotIn('\n', text)
         return text
 
-    def test_an_error_of_the_import_is_one_line_with_its_place_and_there_is_one_import(self):
-        for body, said in (
-                ('1 / 0', 'ZeroDivisionError: division by zero (%s, line 2)'),
-                ('raise KeyboardInterrupt', 'KeyboardInterrupt (%s, line 2)'),
-                ('import sys; sys.exit(3)', 'SystemExit: 3 (%s, line 2)'),
-                ('exit()', 'SystemExit: None ('),
-                ('raise BaseException("a\\nb")', 'BaseException: a b (%s, line 2)'),
-                ('raise ValueError("x" * 10**6)', 'ValueError: xxx'),
-                ('import no_such_module', "ModuleNotFoundError: No module named 'no_such_module' "
-                 '(%s, line 2)'),
-                ('import signal; signal.signal(2, signal.SIG_IGN)', 'ValueError: signal only'),
-                ('class Unspeakable(Exception):\n    def __str__(self): return 5\n'
-                 'raise Unspeakable', '')):
-            with self.subTest(body):
-                name = self.module(body)
-                path = os.path.join(self.folder, name + '.py')
-                text = self.assert_refused(
-                    {'boards': [name]}, f"parameter /node/boards is ['{name}'] (list), may be a "
-                    f"list (names of Python packages with a board): importing '{name}' failed: "
-                    + (said % path if '%s' in said else said))
-                self.assertLess(len(text), 700)
-                with open(path + '.imports') as file:
-                    self.assertEqual(file.read(), 'x')
-        with open(os.path.join(self.folder, 'unfinished.py'), 'w') as file:
-            file.write('1 +')
-        self.assert_refused({'boards': ['unfinished']}, 'SyntaxError', 'unfinished.py, line 1)')
-
-    def test_names_that_are_not_module_names_are_refused(self):
-        for name in '', '.', '.x', 'no.such', 'a/b', 'a\nb', 'x' * 10**5, '\0':
-            with self.subTest(name[:9]):
-                self.assert_refused({'boards': [name]}, 'parameter /node/boards is [', 'importing')
+    def test_a_board_is_accepted_and_what_its_import_raises_passes(self):
+        with self.assertRaises(ZeroDivisionError):
+            check({'boards': [self.board('1 / 0')]}, '/node')
+        with self.assertRaises(ImportError):
+            check({'boards': ['no.such']}, '/node')
         for boards in ['x', 5], {'a': 'b'}, 'x', [['x']]:
             self.assert_refused({'boards': boards}, 'may be a list (names of Python packages with')
-
-    def test_a_wrong_interface_is_refused(self):
-        for text, said in (
-                ('', 'its ros.py has no INTERFACE'),
-                ('INTERFACE = None', 'its ros.py has no INTERFACE'),
-                ('INTERFACE = 5', 'INTERFACE is 5, may be a class derived from'),
-                ('class INTERFACE: NAME = "wind"', 'may be a class derived from'),
-                (self.BOARD + '    del NAME', 'INTERFACE.NAME is None, may be letters'),
-                (self.BOARD + '    NAME = 5', 'INTERFACE.NAME is 5, may be letters'),
-                (self.BOARD + '    NAME = "a/b"', "INTERFACE.NAME is 'a/b', may be letters"),
-                (self.BOARD + '    NAME = "bus"', "NAME is 'bus', may be a name that no other"),
-                (self.BOARD + '    NAME = "boards"', "NAME is 'boards', may be a name that no"),
-                (self.BOARD + '    del PARAMETERS', 'INTERFACE.PARAMETERS is None, may be a dict'),
-                (self.BOARD + '    PARAMETERS = [PORT]', 'may be a dict from name to Parameter'),
-                (self.BOARD + '    PARAMETERS = {5: PORT}', 'from name (letters, digits'),
-                (self.BOARD + '    PARAMETERS = {"port": "x"}', "['port'] is 'x', may be a Param"),
-                (self.BOARD + '    PARAMETERS = {"baud": BAUD}', "['port'] is None, may be PORT"),
-                (self.BOARD + '    PARAMETERS = {"port": BAUD}', 'may be PORT'),
-                (self.BOARD + '    PARAMETERS["x"] = Parameter(None)', "['x'].default is None,"),
-                (self.BOARD + '    PARAMETERS["x"] = Parameter({})', "['x'].parse is None, may"),
-                (self.BOARD + '    MOUNTS = ("imu",)', 'PARAMETERS has no imu_frame_id'),
-                (self.BOARD + '    MOUNTS = 5', 'INTERFACE.MOUNTS is 5, may be a tuple')):
-            with self.subTest(said, text=text[len(self.BOARD):]):
-                name = self.board(text)
-                self.assert_refused({'boards': [name]}, 'parameter /node/boards is',
-                                    f"the module '{name}'", said)
-
-    def test_a_board_is_accepted_and_a_wrong_package_is_refused(self):
-        for interface, name, said in (
-                (self.BOARD, 'rain', "INTERFACE.NAME is 'wind', may be 'rain', the name in its "
-                 'DESCRIPTION'),
-                ('1 / 0', 'wind', ".ros' failed: ZeroDivisionError: division by zero ("),
-                (None, 'wind', ".ros' failed: ModuleNotFoundError")):
-            with self.subTest(said):
-                self.assert_refused({'boards': [self.board(interface, name)]},
-                                    'parameter /node/boards is', said)
-        for text in '', 'DESCRIPTION = 5', self.BOARD:     # the last one was a board up to 1.1
-            self.assert_refused({'boards': [self.module(text)]}, 'has no DESCRIPTION of a board')
         one, other = self.board(self.BOARD), self.board(self.BOARD)
-        for boards in [one, one], [one, other]:
-            self.assert_refused({'boards': boards}, "INTERFACE.NAME is 'wind', may be a name that "
-                                'no other board')
+        self.assert_refused({'boards': [one, other]}, f"parameter /node/boards: the board of "
+                            f"'{other}' is named wind, as another board or parameter")
         values, warnings = check({'boards': [one], 'wind': {'baud': 9600}}, '/node')
         self.assertEqual((values['boards'][-1].NAME, values['wind/baud'], warnings),
                          ('wind', 9600, []))
@@ -245,19 +173,6 @@ class INTERFACE(Interface):
         self.assertEqual(check(given, '/node')[1], [])
         given['boards'] = [self.board(self.BOARD + '    PARAMETERS["announced"] = Parameter(5)')]
         self.assert_refused(given, 'wind/announced is')
-
-    def test_any_error_in_a_boards_own_checks_is_one_line(self):
-        fault = '(lambda *_: 1 / 0)'
-        for text, said in (
-                ('    problem = staticmethod' + fault, 'parameter /node/boards: the board wind '
-                 'failed to check its parameters: ZeroDivisionError'),
-                ('    custom_names = staticmethod' + fault, 'the board wind failed to check its'),
-                ('    custom_names = staticmethod(lambda p: 5)',
-                 'the board wind failed to check its'),
-                (f'    PARAMETERS["x"] = Parameter("a", parse={fault})', "parameter /node/wind/x "
-                 "is 'a' (str), may be text: ZeroDivisionError: division by zero (")):
-            with self.subTest(text):
-                self.assert_refused({'boards': [self.board(self.BOARD + text)]}, said)
 
 
 class Lines(unittest.TestCase):
@@ -277,20 +192,6 @@ class Lines(unittest.TestCase):
             self.assertLess(len(text), 500)
         _values, (warning,) = check({'pub\nlish_tf': True}, '/node')
         self.assertIn('/node/pub\ufffdlish_tf is unknown', warning)
-
-    def test_a_row_outside_its_group_is_unknown_with_the_place_where_it_belongs(self):
-        message = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data']}
-        function = {'cmd2': 48, 'srv_type': 'std_srvs/Trigger'}
-        for given, said in (
-                ({'force': message}, 'force is unknown and has no effect; this row belongs under '
-                                     'arduino/messages or mcu/messages'),
-                ({'mcu': {'force': message}}, 'this row belongs under mcu/messages'),
-                ({'pump': function}, 'this row belongs under bus/functions'),
-                ({'force': {'type': 32}}, 'force is unknown and has no effect'),
-                ({'force': 32}, 'force is unknown and has no effect')):
-            with self.subTest(given=given):
-                _values, (warning,) = check(given, '/node')
-                self.assertTrue(warning.endswith(said), warning)
 
     def test_two_links_with_the_same_port_are_refused(self):
         with tempfile.TemporaryDirectory() as folder:

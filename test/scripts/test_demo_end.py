@@ -1,7 +1,6 @@
 """scripts/demo ends by itself where it cannot go on, and leaves no process and no file."""
 import contextlib
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -80,34 +79,3 @@ def test_a_reader_that_has_ended_ends_the_demo_without_a_word(folder):
         output, errors = demo.communicate(timeout=PATIENCE)
     assert (demo.returncode, errors) == (128 + signal.SIGPIPE, '')
     assert output.splitlines()[1].endswith('the bridge is there')
-
-
-@pytest.mark.skipif(subprocess.call(['unshare', '-m', 'true'], stderr=subprocess.DEVNULL) != 0,
-                    reason='to fill a disk, a file system is mounted: only root may')
-@pytest.mark.parametrize('fills', ['before', 'during the start'])
-def test_a_full_disk_is_one_line(folder, fills):
-    logs = DEMO.parents[1] / 'build' / 'ros'
-    size = '16k' if fills == 'before' else '1200k'
-    fill = '' if fills == 'before' else \
-        '(until grep -qs SUMMARY "$1"/log/demo_*.log; do sleep 0.1; done; ' \
-        'cat /dev/zero >"$1/fill" 2>/dev/null) & '
-    full = ['unshare', '-m', 'bash', '-c',
-            f'mount -t tmpfs -o size={size} none "$1"; {fill}"$0"', DEMO, logs]
-    with started(folder, full, free_master()) as demo:
-        errors = demo.communicate(timeout=PATIENCE)[1]
-    assert demo.returncode == 1
-    # The nodes of roslaunch that are ended may warn of each other.
-    assert [line for line in errors.splitlines() if not line.startswith('[WARN]')] == [
-        f'demo: no space left on the disk of {logs}/log: make room (df -h, df -i), then try again.']
-
-
-@pytest.mark.skipif(not shutil.which('avr-g++'), reason='gcc-avr is not installed')
-def test_firmware_that_does_not_build_ends_the_demo_with_the_last_lines_of_make(folder, tmp_path):
-    build = tmp_path / 'firmware'
-    with started(folder, [DEMO, '--avr'], free_master(), FIRMWARE_BUILD=str(build),
-                 ARDUINO='/nowhere') as demo:
-        output, errors = demo.communicate(timeout=PATIENCE)
-    assert demo.returncode == 1 and 'Launching' not in output
-    assert '/nowhere/cores/arduino is missing' in errors
-    assert errors.endswith('avr_board: the firmware did not build; see above, and '
-                           f'{build}/make.log for all.\n')

@@ -1,20 +1,13 @@
 """scripts/demo in a real terminal: its table at each size, and its end."""
-import os
-import signal
-import subprocess
-import time
 from pathlib import Path
 
 import pytest
-from programs import arguments_of, free_master, processes_with
+from programs import free_master, processes_with
 from terminal import Terminal
-from waiting import again_if_stalled
-from witness import Witness
 
 ROOT = Path(__file__).resolve().parents[2]
 CTRL_C = b'\3'
 LINKS = ('bus', 'arduino', 'mcu')
-MOST = 3.0      # s until the demo has ended, on a machine that has time
 
 
 @pytest.fixture(name='demo')
@@ -38,22 +31,9 @@ def descendants(terminal):
     return processes_with(f'SERIAL_COMMUNICATION_DEMO={terminal.pid}')
 
 
-def ends_in_time(terminal):
-    """Wait for the end of a demo; return whether it came in time."""
-    with Witness(work=0.02, period=0.1) as witness:
-        took = terminal.wait()
-    print(f'ended after {took:.2f} s, slowed down by {witness.slowdown:.2f}')
-    return took < MOST * witness.slowdown
-
-
 def is_table(rows):
     """Whether a screen shows the links and the car."""
     return all(any(row.startswith(name + ' ') for row in rows) for name in (*LINKS, 'car'))
-
-
-def ignores_ctrl_c(pid):
-    status = Path(f'/proc/{pid}/status').read_text()
-    return int(status.split('SigIgn:')[1].split()[0], 16) & 1 << signal.SIGINT - 1
 
 
 def test_links_and_calls_are_shown_at_every_size_and_hidden_topics_are_counted(demo):
@@ -69,20 +49,9 @@ def test_links_and_calls_are_shown_at_every_size_and_hidden_topics_are_counted(d
         assert setup.split('  ', 1)[1].startswith(f'. {ROOT}/build/devel/setup.bash')
         assert f'ROS_MASTER_URI={terminal.uri}' in setup
         assert screen[-1].endswith('more lines') == (rows == 15), screen
-    # During a calibration, refused after a stall, the bridge sends no speed, and none is shown.
-    command = f'. {ROOT}/build/devel/setup.bash; rosservice call ' \
-        '/serial_communication/calibrate_imu'
-    again_if_stalled(lambda: subprocess.run(
-        ['bash', '-c', command], timeout=60, stdout=subprocess.DEVNULL,
-        env={**os.environ, 'ROS_MASTER_URI': terminal.uri}).returncode == 0)
-    screen = terminal.until(lambda: next(
-        (each for each in terminal.screens()
-         if any(row.startswith('car     speed refused: calibrating') for row in each)), None),
-        'the refused speed')
-    assert not any('~speed' in row for row in screen)
-    assert [arguments_of(pid) for pid in descendants(terminal) if ignores_ctrl_c(pid)] == []
     terminal.press(CTRL_C)
-    assert ends_in_time(terminal) and terminal.status == 0
+    terminal.wait()
+    assert terminal.status == 0
 
 
 def test_faults_are_counted_at_the_links(demo):
@@ -92,7 +61,8 @@ def test_faults_are_counted_at_the_links(demo):
             row.startswith(name + ' ') and 'errors ' in row and 'errors 0' not in row
             for screen in terminal.screens() for row in screen), f'an invalid frame on {name}')
     terminal.press(CTRL_C)
-    assert ends_in_time(terminal) and terminal.status == 0
+    terminal.wait()
+    assert terminal.status == 0
 
 
 # The output just before Ctrl-C is pressed: roslaunch or the nodes have their own signal handlers
@@ -106,28 +76,7 @@ def test_ctrl_c_during_the_start_ends_every_process(demo, moment):
     if moment != 'Launching':
         terminal.until(lambda: log.exists() and moment in log.read_text(errors='replace'), moment)
     terminal.press(CTRL_C)
-    assert ends_in_time(terminal)
+    terminal.wait()
     assert terminal.status == 0
     assert descendants(terminal) == []
     assert 'Traceback' not in terminal.text()
-
-
-def test_a_roslaunch_that_hangs_is_killed_without_output_of_the_shell(demo):
-    terminal = demo()
-    terminal.until(lambda: any(is_table(each) for each in terminal.screens()), 'the table')
-    roslaunch, = [pid for pid in descendants(terminal) if '--skip-log-check' in arguments_of(pid)]
-    os.kill(roslaunch, signal.SIGSTOP)
-    terminal.press(CTRL_C)
-    assert ends_in_time(terminal) and terminal.status == 0
-    assert 'Killed' not in terminal.text()
-
-
-@pytest.mark.parametrize('delay', [0.05, 0.15, 0.25, 0.4])
-def test_ctrl_c_during_the_set_up_ends_the_demo(demo, delay):
-    terminal = demo()
-    time.sleep(delay)       # no condition to wait for: any time is a valid case
-    terminal.press(CTRL_C)
-    assert ends_in_time(terminal)
-    # On a busy machine bash may not have read the first line by then, and ends by the signal.
-    assert terminal.status == 0 or (terminal.status == -signal.SIGINT
-                                    and terminal.text().strip() in ('', '^C'))

@@ -9,24 +9,12 @@ import pytest
 from waiting import PATIENCE
 
 ROOT = Path(__file__).resolve().parents[2]
-PYTHON_PROGRAMS = sorted(path.name for path in (ROOT / 'scripts').iterdir()
-                         if not path.suffix and path.read_text().startswith('#!/usr/bin/python3'))
 _PRINTS = '''
 import sys
 from serial_communication.output import prepare_output
 prepare_output()
 print('a line', file=sys.{stream})
 sys.stdin.read()
-'''
-_ENDS_WHEN_CALLED = '''
-import runpy, sys
-from serial_communication import output
-def called():
-    sys.exit('called')
-output.prepare_output = called
-sys.argv[:] = sys.argv[1:]
-run = runpy.run_path if '/' in sys.argv[0] else runpy.run_module
-run(sys.argv[0], run_name='__main__')
 '''
 
 
@@ -56,19 +44,6 @@ def test_closed_standard_streams_cause_no_error():
                   f'os.execv({sys.executable!r}, ["python3", "-c", """{_PRINTS}"""])'.replace(
                       "print('a line', file=sys.{stream})", ''), stdin=subprocess.DEVNULL)
     assert done.wait(60) == 0
-
-
-@pytest.mark.parametrize('program', [
-    *(f'{ROOT}/scripts/{name}' for name in PYTHON_PROGRAMS), 'serial_communication.tools.demo.cli'],
-    ids=os.path.basename)
-def test_every_program_calls_prepare_output_first(program):
-    with python(_ENDS_WHEN_CALLED, program, stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE) as run:
-        try:
-            output, _ = run.communicate(timeout=60)
-        finally:
-            run.terminate()
-    assert (run.returncode, output) == (1, 'called\n')
 
 
 @pytest.mark.parametrize('output, status, said', [

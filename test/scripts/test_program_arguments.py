@@ -2,9 +2,7 @@
 import os
 import shlex
 import shutil
-import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -109,35 +107,9 @@ def test_wrong_arguments_of_a_script_are_two_lines_before_any_set_up(name, argum
     assert done.stderr.startswith(name + ': ') and len(done.stderr.splitlines()) == 2
 
 
-_CTRL_C = '''
-import os, runpy, signal, sys
-class Finder:
-    def find_spec(self, name, path=None, target=None):
-        if name == 'argparse' or name.endswith('.node'):
-            os.kill(os.getpid(), signal.SIGINT)
-sys.modules.pop('argparse', None)
-sys.meta_path.insert(0, Finder())
-sys.argv = [sys.argv[1], '--help']
-runpy.run_path(sys.argv[0], run_name='__main__')
-'''
-
-
-@pytest.mark.parametrize('name', ['header', 'monitor', 'panel', 'ports',
-                                  'serial_communication_node', 'simulator'])
-def test_ctrl_c_during_the_imports_prints_no_traceback(name):
-    done = subprocess.run([sys.executable, '-c', _CTRL_C, str(SCRIPTS / name)], text=True,
-                          timeout=60, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                          stderr=subprocess.PIPE)
-    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, '', '')
-
-
 def test_a_missing_package_of_view_launch_is_named_in_one_line():
     done = run('other_program', 'no_such_package', 'program')
     assert (done.returncode, done.stdout) == (1, '')
     assert done.stderr == ('other_program: no_such_package is missing; install it: sudo apt-get '
                            'install ros-no-such-package (Ubuntu 20.04: ros-noetic-no-such-package)'
                            '\n')
-
-
-def test_every_program_has_a_case_with_wrong_arguments():
-    assert {each[0] for each in WRONG + SAYS} == set(PROGRAMS)

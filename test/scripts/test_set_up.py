@@ -1,179 +1,90 @@
-"""The first run: packages, password, progress, Ctrl-C, other systems and full disks."""
+"""scripts/environment.bash: which packages of which system it installs, and with which ROS."""
 import os
-import re
 import shutil
 import subprocess
-import tempfile
 from pathlib import Path
 
 import pytest
-from terminal import Terminal
 
 ENVIRONMENT = Path(__file__).resolve().parents[2] / 'scripts' / 'environment.bash'
-NO_SPACE = 'demo: no space left on {}: make room (df -h, df -i), then try again.\n'
+APT_CACHE = '[[ -e lists && $2 != chromium ]]'
+APT_GET = 'echo "${@:5}" >>asked; [[ $* != *update ]] || touch lists'
 
 
 @pytest.fixture(name='folder')
-def fixture_folder():
-    """A folder that every user may use, with a copy of environment.bash and a folder `bin`."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        for each in ('scripts', 'bin', 'temporary'):
-            (folder / each).mkdir()
-        shutil.copy(str(ENVIRONMENT), str(folder / 'scripts'))
-        for each in folder, folder / 'temporary':
-            each.chmod(0o777)
-        program(folder, 'sudo', '[[ $1 != -n ]] || shift; "$@"')    # the real one has its own PATH
-        yield folder
-
-
-def program(folder, name, text):
-    """Put a program in place of a system's one."""
-    path = folder / 'bin' / name
-    path.write_text('#!/bin/bash\n' + text)
-    path.chmod(0o755)
-
-
-def script(folder, text, *prefix):
-    """The command that sources environment.bash and runs a text."""
-    set_up = f'cd {folder}; set -euo pipefail; . scripts/environment.bash; '
-    return [*prefix, '/bin/bash', '-c', set_up + text, 'demo']
-
-
-def environment(folder):
-    return {'PATH': f'{folder}/bin:{os.environ["PATH"]}', 'TMPDIR': str(folder / 'temporary')}
+def fixture_folder(tmp_path):
+    """A folder with a copy of environment.bash, and with a package manager that only notes."""
+    for each in ('scripts', 'bin'):
+        (tmp_path / each).mkdir()
+    shutil.copy(str(ENVIRONMENT), str(tmp_path / 'scripts'))
+    for name, text in ('apt-cache', APT_CACHE), ('apt-get', APT_GET), ('sudo', '"$@"'):
+        (tmp_path / 'bin' / name).write_text('#!/bin/bash\n' + text)
+        (tmp_path / 'bin' / name).chmod(0o755)
+    return tmp_path
 
 
 def run(folder, text):
-    return subprocess.run(script(folder, text), stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
-                          stderr=subprocess.PIPE, universal_newlines=True, timeout=60,
-                          env={**os.environ, **environment(folder)})
+    """Source environment.bash and run a text."""
+    set_up = 'set -euo pipefail; . scripts/environment.bash; '
+    return subprocess.run(['/bin/bash', '-c', set_up + text, 'demo'], cwd=folder, timeout=60,
+                          stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          text=True,
+                          env={**os.environ, 'PATH': f'{folder}/bin:{os.environ["PATH"]}'})
 
 
-def screen(terminal):
-    """The lines that a terminal shows."""
-    lines = ['']
-    column = 0
-    output = re.sub(r'\x1b\[[0-9;?]*[a-zA-JL-Z]', '', terminal._output.decode())
-    for part in re.findall(r'\x1b\[K|.', output, re.DOTALL):
-        if part == '\n':
-            lines.append('')
-        elif part == '\r':
-            column = 0
-        elif part == '\x1b[K':
-            lines[-1] = lines[-1][:column]
-        else:
-            lines[-1] = lines[-1][:column].ljust(column) + part + lines[-1][column + 1:]
-            column += 1
-    return lines
+@pytest.mark.parametrize('distro, names', [
+    (None, ['catkin', 'python3-serial', 'python3-tf2-ros', 'ros-core-python-dev']),
+    ('noetic', ['python3-serial', 'ros-noetic-ros-core', 'ros-noetic-tf2-ros']),
+    ('one', ['python3-serial', 'ros-one-ros-core', 'ros-one-tf2-ros'])])
+def test_the_packages_have_the_names_of_the_ros_that_is_there(folder, distro, names):
+    if distro:
+        (folder / distro).mkdir()
+        (folder / distro / 'setup.bash').touch()
+    done = run(folder, 'prefixes=("$PWD/one" "$PWD/noetic"); needed_packages run')
+    assert set(names) <= set(done.stdout.split()) and done.stderr == ''
+    assert ('catkin' in done.stdout.split()) == (distro is None)
 
 
-APT = r'''echo "$@" >>asked; printf 'Unpacking ros-core (1.0) ...\r\n'
-until [[ -e finish ]]; do sleep 0.1; done; touch finished'''
+def test_a_package_of_a_ros_that_was_built_from_source_is_not_missing(folder):
+    for name in 'setup.bash', 'share/tf2_ros/package.xml':
+        (folder / 'noetic' / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / 'noetic' / name).touch()
+    done = run(folder, 'prefixes=("$PWD/noetic"); missing_packages run')
+    assert 'ros-noetic-ros-core' in done.stdout.split()
+    assert 'ros-noetic-tf2-ros' not in done.stdout.split()
 
 
-@pytest.fixture(name='terminal')
-def fixture_terminal(folder):
-    """A function that runs a text in a terminal."""
-    started = []
-
-    def start(text, *prefix):
-        started.append(Terminal(script(folder, text, *prefix), **environment(folder)))
-        return started[-1]
-    yield start
-    (folder / 'finish').touch()
-    for each in started:
-        each.close()
+def test_the_setup_of_the_prefix_is_sourced(folder):
+    (folder / 'one').mkdir()
+    (folder / 'one' / 'setup.bash').write_text('echo "this is ${unset_variable}one"')
+    done = run(folder, 'prefixes=("$PWD/one"); missing_packages() { :; }; '
+                       'build_if_changed() { exit 0; }; set_up run')
+    assert (done.stdout, done.stderr) == ('this is one\n', '')
 
 
-@pytest.mark.parametrize('name, step', [
-    ('apt-get', 'install a-package'), ('cmake', 'build_inputs() { echo; }; build_if_changed')])
-def test_the_last_line_of_apt_and_of_the_build_stays_on_the_screen(folder, terminal, name, step):
-    program(folder, name, APT)
-    program(folder, 'make', '')
-    shown = terminal(f'{step}; echo "the next step"')
-    shown.until(lambda: shown._output.endswith(b'\x1b[K\r'), 'progress')
-    assert screen(shown)[1:] == ['    Unpacking ros-core (1.0) ...']
-    (folder / 'finish').touch()
-    shown.wait()
-    assert screen(shown)[1:] == ['the next step', '']
-    assert list((folder / 'temporary').iterdir()) == []
-
-
-def test_ctrl_c_during_the_packages_ends_the_program_when_apt_has_finished(folder, terminal):
-    program(folder, 'apt-get', APT)
-    shown = terminal("trap 'exit 130' INT USR1; install a-package; echo 'the next step'")
-    shown.until(lambda: 'Unpacking' in shown.text(), 'apt-get runs')
-    shown.press(b'\3')
-    shown.until(lambda: any(row.endswith('==> Ctrl-C: apt-get finishes first, then demo ends ...')
-                            for row in screen(shown)), 'the line about Ctrl-C')
-    shown.press(b'\3')
-    (folder / 'finish').touch()
-    shown.wait()
-    assert (folder / 'finished').exists() and 'the next step' not in shown.text()
-    assert shown.text().count('finishes first') == 1
-    assert shown.status == 130
-    assert list((folder / 'temporary').iterdir()) == []
-
-
-def test_a_line_before_the_password_says_what_it_is_for(folder, terminal):
-    program(folder, 'apt-get', 'echo "$@" >>asked')
-    program(folder, 'sudo', '''case $1 in
-        -v) echo "[sudo] password for me:"; touch known ;;
-        *) [[ $1 == -n && -e known ]] && shift && "$@" ;;
-    esac''')
-    ordinary = [] if os.geteuid() else ['/usr/bin/setpriv', '--reuid=65534', '--regid=65534',
-                                        '--clear-groups']
-    shown = terminal('install a-package', *ordinary)
-    shown.wait()
-    assert shown.status == 0, shown.text()
-    assert screen(shown)[:2] == [
-        '==> Packages are missing. To install them, sudo asks for your password:',
-        '[sudo] password for me:']
-    assert 'a-package' in (folder / 'asked').read_text()
-
-
-def test_the_package_lists_are_fetched_if_a_package_is_not_in_them(folder):
-    program(folder, 'apt-get', '''echo "$@" >>asked; [[ $* != *update ]] || touch lists
-        [[ -e lists ]]''')
-    done = run(folder, 'install a-package; echo ready')
+def test_packages_are_installed_after_an_update_and_without_recommendations(folder):
+    done = run(folder, 'install socat cmake; echo ready')
     assert done.stdout.splitlines()[-1] == 'ready' and done.stderr == ''
-    asked = (folder / 'asked').read_text().splitlines()
-    assert [line.split()[-1] for line in asked] == ['a-package', 'update', 'a-package']
+    assert (folder / 'asked').read_text().splitlines() == [
+        'update', 'install --no-install-recommends socat cmake']
 
 
-def test_another_system_gets_the_command_for_a_container(folder):
-    done = run(folder, 'noetic=/nowhere; is_debian_12() { false; }; checkout="/home/my name/b"; '
-               'set_up run')
-    assert done.returncode == 1
-    line, = done.stderr.splitlines()
-    assert line.startswith('demo: this system is neither Debian 12 nor one with /nowhere. ')
-    assert line.endswith('docker run -it --network host -v /home/my\\ name/b:/bridge debian:12 '
-                         '/bridge/scripts/demo')
+def test_a_package_that_the_system_lacks_is_left_out_with_one_line(folder):
+    done = run(folder, 'install chromium socat; echo ready')
+    assert done.stdout.splitlines()[1:] == [
+        f'==> {system()} has no package chromium; see doc/install.md. Going on without.', 'ready']
+    assert (folder / 'asked').read_text().splitlines()[-1].endswith(' socat')
 
 
-CMAKE = '''for line in {1..30}; do echo "CMake Error at line $line"; done
-echo "file: No space left on device"; exit 1'''
+def test_a_system_without_ros_gets_one_line_that_names_it_and_the_page(folder):
+    (folder / 'bin' / 'apt-cache').write_text('#!/bin/bash\n[[ $2 != ros-core-python-dev ]]')
+    done = run(folder, 'prefixes=(); install ros-core-python-dev socat')
+    assert (done.returncode, done.stderr) == (
+        1, f'demo: {system()} has no package ros-core-python-dev; see doc/install.md\n')
+    assert (folder / 'asked').read_text() == 'update\n'
 
 
-def test_logs_over_a_week_old_are_deleted_whatever_is_beside_them(folder):
-    """A folder is not written any more while the logs in it still grow."""
-    for name in 'old/node.log', 'mixed/old.log', 'mixed/new.log', 'new/node.log':
-        path = folder / 'log' / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-    for name in 'old/node.log', 'mixed/old.log', 'old', 'mixed':
-        os.utime(str(folder / 'log' / name), (0, 0))
-    done = run(folder, f'export ROS_LOG_DIR={folder}/log; delete_old_logs; echo done')
-    assert (done.stdout, done.stderr) == ('done\n', '')
-    assert sorted(str(path.relative_to(folder / 'log')) for path in folder.glob('log/*/*')) == [
-        'mixed/new.log', 'new/node.log']
-
-
-def test_a_full_disk_during_the_build_is_one_line(folder):
-    program(folder, 'cmake', CMAKE)
-    done = run(folder, 'build_inputs() { echo; }; build_if_changed')
-    assert done.returncode == 1 and done.stderr == NO_SPACE.format('a disk')
-    program(folder, 'cmake', CMAKE.replace('No space left on device', 'syntax error'))
-    done = run(folder, 'build_inputs() { echo; }; build_if_changed')
-    assert done.returncode == 1 and 'syntax error\ndemo: the build failed' in done.stderr
+def system():
+    """The name of this system."""
+    return subprocess.check_output(['bash', '-c', '. /etc/os-release; echo "$PRETTY_NAME"'],
+                                   text=True).strip()

@@ -59,7 +59,7 @@ def test_shellcheck_finds_nothing():
 
 
 def test_xml_is_well_formed():
-    run('xmllint', '--noout', ROOT / 'package.xml', *ROOT.glob('launch/*'),
+    run('xmllint', '--noout', ROOT / 'package.xml', *ROOT.glob('launch/**/*.launch*'),
         *ROOT.glob('config/*.urdf'), *ROOT.glob('test/ros/*.test'))
 
 
@@ -76,21 +76,12 @@ def test_the_launch_file_starts_the_bridge(arguments):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('arguments, bridge', [([], False), (['sim:=off'], False),
+@pytest.mark.parametrize('arguments, bridge', [([], False), (['sim:=false'], False),
                                                (['sim:=true'], True), (['sim:=avr'], True)])
 def test_view_starts_a_bridge_only_with_simulated_boards(arguments, bridge):
     nodes = run('roslaunch', '--nodes', 'serial_communication', 'view.launch', *arguments).split()
     assert {'/rviz', '/car_model'} <= set(nodes)
     assert ('/serial_communication' in nodes) == bridge
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('arguments', [['faults:=all'], ['sim:=avr', 'faults:=all'],
-                                       ['sim:=maybe']])
-def test_invalid_launch_arguments_end_the_launch_with_a_message(arguments):
-    with pytest.raises(pytest.fail.Exception) as failure:
-        run('roslaunch', '--nodes', 'serial_communication', 'bridge.launch', *arguments)
-    assert arguments[-1] in str(failure.value) and 'Traceback' not in str(failure.value)
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ names that pyserial 3.4, pytest 4.6 and hypothesis 4.36 do not have."""
 import ast
 from typing import Iterator
 
-import pytest
 from sources import name, python_files
 
 VERSION = (3, 8)
@@ -83,21 +82,3 @@ def _unions(annotation) -> Iterator[str]:
 def test_every_file_is_valid_for_python_3_8():
     assert [f'{name(path)}:{use}' for path in python_files()
             for use in too_new(path.read_text(), str(path))] == []
-
-
-@pytest.mark.parametrize('text', [
-    'match x:\n    case 1: pass', 'with (open(a) as b, open(c) as d): pass',
-    'try: pass\nexcept* ValueError: pass', 'def f(a: list[int]): pass', 'a: int | None = None',
-    'def f() -> int | None: pass', 'x.removeprefix("a")', 'from functools import cache',
-    'import tomllib', 'zip(a, b, strict=True)', 'a: Dict[str, tuple[int, ...]]',
-    'raise serial.PortNotOpenError()', 'from hypothesis import target',
-    'def f(patch: pytest.MonkeyPatch): pass'])
-def test_newer_syntax_and_names_are_found(text):
-    assert list(too_new(text))
-
-
-@pytest.mark.parametrize('text', [
-    'if (n := 3): pass', 'def f(a, /, b): pass', 'f"{a=}"', 'a: "Optional[int]" = b | c',
-    'names[0]', 'x.cache', 'cache(x)', 'from typing import Counter\na: Counter[str] = Counter()'])
-def test_syntax_of_python_3_8_is_accepted(text):
-    assert not list(too_new(text))

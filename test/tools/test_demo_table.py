@@ -1,15 +1,13 @@
 """The table of a bridge and of the demo, at every size; without ROS."""
 import io
 import re
-from types import SimpleNamespace as Message
 
 import pytest
 from serial_communication.link.outcome import Verdict
-from serial_communication.tools.demo import cli
 from serial_communication.tools.demo.state import Calls, Demo, PageAddress
 from serial_communication.tools.watch import table
 from serial_communication.tools.watch.state import LinkState
-from serial_communication.tools.watch.table import Screen, TextLine
+from serial_communication.tools.watch.table import Screen
 
 NOW = 4000.0
 SETUP = '. /home/somebody/serial_communication/build/devel/setup.bash'
@@ -81,52 +79,12 @@ def test_links_and_calls_come_first_and_are_never_left_out(size):
     assert places[-1] < next(at for at, line in enumerate(shown) if line.startswith('serial_msg'))
 
 
-def test_three_rows_show_the_links():
-    assert [line.text[:3] for line in lines(busy(), 20, 3)] == ['bus', 'ard', 'mcu']
-
-
-@pytest.mark.parametrize('size', SIZES[:5])
-def test_the_command_for_the_second_terminal_is_never_cut(size):
-    for setup in (SETUP, SETUP + '; export ROS_MASTER_URI=http://a-robot-of-ours.local:11312'):
-        whole, = [line for line in lines(busy(setup=setup), *size) if line.whole]
-        assert whole.text == 'In another terminal:  ' + setup
-
-
-def test_topics_that_are_left_out_are_counted():
-    state = busy()
-    shown = text(state, 60, 15).splitlines()
-    # Five pairs of topics share a line each before any is left out.
-    topics = len(state.bridge.topics) - 1 - 5
-    listed = sum(line.startswith(('~', 'serial_msg')) for line in shown)
-    assert shown[-1] == f'… {topics - listed} more lines' and listed > 2
-    assert 'more lines' not in text(state, 80, 24)
-
-
-@pytest.mark.parametrize('height, joined', [
-    (25, 'mcu/range_1, range_2'), (24, '/tf, tf_static'),
-    (23, '~environment/temperature, humidity')])
-def test_topics_of_one_type_or_under_one_name_share_a_line_where_rows_are_short(height, joined):
-    state = busy()
-    for name, words in ('mcu/range_1', 'near'), ('mcu/range_2', 'far'):
-        state.bridge.topic(name).words = words
-    shown = text(state, 80, height)
-    assert re.search(f'^{joined} +100.0 Hz  ', shown, re.M), shown
-    assert 'more lines' not in shown
-    assert (', range_2' in shown) == ('100.0 Hz  near; far' in shown)
-
-
 @pytest.mark.parametrize('state', [idle(), busy()], ids=['nothing yet', 'busy'])
 def test_no_topic_is_left_out_on_80_by_24(state):
     shown = text(state, 80, 24)
     for each in state.bridge.topics:
         if not each.topic.optional:
             assert each.topic.name.split('/')[-1] in shown
-
-
-def test_a_large_terminal_shows_headings_and_blank_lines():
-    shown = text(busy(), 200, 60)
-    assert len(re.findall('^$', shown, re.M)) == 3
-    assert re.findall('^(link|commands|topic)', shown, re.M) == ['link', 'commands', 'topic']
 
 
 def test_a_link_shows_its_status_and_counters():
@@ -140,35 +98,6 @@ def test_a_link_shows_its_status_and_counters():
     assert by_link['mcu'].style == 'bad'
     assert 'ERROR closed: no such file' in by_link['mcu'].text and 'lost 6' in by_link['mcu'].text
     assert 'read delay 8.31 ms' in by_link['mcu'].text
-
-
-def test_settings_are_shown_and_unconfirmed_ones_only_if_there_are_some():
-    state = busy()
-    for unconfirmed, shown in ('', 'settings kp=2'), ('kp=3', 'settings kp=2, unconfirmed kp=3'):
-        state.bridge.set_link('mcu', LinkState(0, 'open', {
-            'settings': 'kp=2', 'settings unconfirmed': unconfirmed}, at=NOW))
-        assert text(state, 200, 60).count(shown) == 1
-        assert ('unconfirmed' in text(state, 200, 60)) == bool(unconfirmed)
-
-
-def test_bytes_dropped_as_stale_are_shown_unless_0():
-    state = busy()
-    for count, words in ('0', ', in 1234567'), ('120', ', dropped 120 stale bytes, in 1234567'):
-        state.bridge.set_link('bus', LinkState(0, 'ready', {**COUNTERS, 'stale': count}, NOW))
-        assert f'errors 7 (3 checksum, 4 framing){words}' in text(state, 200, 60)
-
-
-def test_a_narrow_terminal_leaves_out_whole_counters():
-    shown = [line.text for line in lines(busy(), 60, 15) if line.text.startswith('bus')]
-    assert shown == ['bus     OK    ready, errors 7 (3 checksum, 4 framing)']
-
-
-def test_the_number_of_errors_is_never_left_out():
-    state = busy()
-    causes = ('checksum', 'framing', 'length', 'oversize')
-    state.bridge.set_link('bus', LinkState(1, '80 errors in the last second', {
-        **COUNTERS, **{cause + ' errors': '1234' for cause in causes}}, NOW))
-    assert text(state, 60, 15).split('\n')[2].endswith('80 errors in the last second, errors 4936')
 
 
 def test_a_link_that_is_no_longer_reported_is_stale():
@@ -190,53 +119,12 @@ def test_a_stale_topic_shows_its_age_and_a_latched_one_does_not():
     assert re.search('^~imu/calibrating +once  value', text(state, 80, 50), re.M)
 
 
-def test_the_topic_of_adc_boards_is_shown_only_with_data():
-    state = busy()
-    assert 'adc_status' not in text(state, 80, 50)
-    state.bridge.topic('mcu/adc_status').count = 1
-    assert 'mcu/adc_status' in text(state, 80, 50)
-
-
 def test_topics_of_links_that_are_off_are_not_shown():
     state = idle(boards='real', links=('bus',), moves=False)
     shown = text(state, 80, 50)
     assert '~environment' in shown and '~imu' not in shown and 'mcu' not in shown
     assert 'none: real boards are not moved' in shown
     assert not state.calls
-
-
-def test_trouble_is_shown_below_the_title():
-    state = busy()
-    assert lines(state, 80, 24, now=NOW + 10)[1] == TextLine(
-        'no answer from the ROS master at  for 10 s', 'bad')
-    state.bridge.master = 'http://robot:11311'
-    state.bridge.master_answered(True, NOW + 10)
-    assert 'has reported nothing for 10 s' in lines(state, 80, 24, now=NOW + 10)[1].text
-
-
-def test_a_refused_speed_is_not_shown_as_sent():
-    state = busy()
-    assert 'car     ~speed 300, ~steering 1500, ~led left' in text(state, 80, 24)
-    state.bridge.topic('~imu/calibrating').message = Message(data=True)
-    shown = text(state, 80, 24)
-    assert 'car     speed refused: calibrating' in shown and '~speed' not in shown
-    state.bridge.topic('~imu/calibrating').message = Message(data=False)
-    assert '~speed 300' in text(state, 80, 24)
-    state.bridge.set_link('arduino', LinkState(2, 'closed: gone', {}, NOW))
-    assert 'car     speed refused: port closed' in text(state, 80, 24)
-
-
-def test_a_call_is_shown_with_its_outcome():
-    state = idle()
-    state.calls['lift'].answered('up 20 mm', Verdict.NOT_KNOWN, 'no reply; look', 5.0)
-    state.calls['gimbal'].answered('left 15 degrees', Verdict.REFUSED, 'too far', 0.1)
-    shown = lines(state, 120, 50)
-    for words in ('lift    up 20 mm: not known: no reply; look, after 5.00 s (0 done, 1 not known)',
-                  'gimbal  left 15 degrees: refused: too far, after 0.10 s (0 done, 1 refused)'):
-        assert TextLine(words, 'bad') in shown
-    state.calls['lift'].answered('down 20 mm', Verdict.DONE, 'done: lift', 0.4)
-    assert TextLine('lift    down 20 mm: done, after 0.40 s (1 done, 1 not known)') in lines(
-        state, 120, 50)
 
 
 def test_topics_without_data_and_calls_without_success_are_missing():
@@ -250,19 +138,6 @@ def test_topics_without_data_and_calls_without_success_are_missing():
     assert len(Demo().missing()) == len(Demo().bridge.topics) - 1 + 2
     # Real boards are not moved without --move.
     assert not any('answer' in each for each in Demo(moves=False).missing())
-
-
-def test_the_result_names_links_that_are_not_ok(capsys):
-    state = busy()
-    for name in state.bridge.links:
-        state.bridge.set_link(name, LinkState(0, 'open', {}, NOW))
-    assert cli._result(state, 10.0) == 0
-    assert 'Every topic carried data' in capsys.readouterr().out and state.trouble() == []
-    state.bridge.set_link('arduino', LinkState(1, 'heartbeat gap of 99.5 ms: ...', {}, NOW))
-    assert cli._result(state, 10.0) == 0
-    said = capsys.readouterr().out.splitlines()
-    assert said[-2:] == ['But at the end not every link was OK:',
-                         '  arduino WARN: heartbeat gap of 99.5 ms: ...']
 
 
 def test_a_topic_that_the_bridge_does_not_publish_is_missing():
@@ -310,27 +185,6 @@ def test_a_terminal_is_redrawn_in_place_and_restored(monkeypatch):
     assert redraw.count('\n') <= 23     # or it would scroll
     screen.close(busy().bridge, busy().heading(NOW), NOW)
     assert out.getvalue().endswith('\033[?25h\r\n')
-
-
-@pytest.mark.parametrize('given, coloured', [(None, True), ('', True), ('1', False)])
-def test_no_color_turns_styles_off(monkeypatch, given, coloured):
-    monkeypatch.delenv('NO_COLOR', raising=False)
-    if given is not None:
-        monkeypatch.setenv('NO_COLOR', given)
-    out = Terminal()
-    draw(Screen(out), busy())
-    assert ('\033[32m' in out.getvalue()) == ('\033[1m' in out.getvalue()) == coloured
-
-
-@pytest.mark.parametrize('extra', [0, 1, 39])
-def test_a_full_row_keeps_its_last_character(monkeypatch, extra):
-    monkeypatch.setenv('COLUMNS', '40')
-    monkeypatch.setenv('LINES', '60')
-    out = Terminal()
-    setup = 'x' * (80 - len('In another terminal:  ') + extra)
-    draw(Screen(out), busy(setup=setup))
-    row = next(row for row in out.getvalue().split('\r\n') if 'In another' in row)
-    assert row.endswith('\033[K') == bool(extra)
 
 
 def test_an_output_that_is_no_terminal_gets_a_plain_report_every_five_redraws():

@@ -7,8 +7,6 @@ import pytest
 from serial_communication.transport import devices
 from serial_communication.transport.devices import Device
 
-ABSENT = '/dev/no_such_port'
-
 
 @pytest.fixture
 def computer(tmp_path, monkeypatch):
@@ -66,17 +64,3 @@ def test_a_port_has_all_its_names(computer):
 def test_this_computers_ports_can_be_listed():
     assert [device.path for device in devices.devices()] == devices.paths()
     assert all(os.path.exists(path) for path in devices.paths())
-
-
-def test_the_error_for_an_absent_device_lists_those_that_are_there(computer, refusal):
-    words = 'there is no such device; waiting for it; '
-    assert refusal(ABSENT) == words + 'this computer has no serial port'
-    computer.add('ttyUSB1')
-    computer.add('ttyACM0')
-    assert refusal(ABSENT) == words + 'this computer has /dev/ttyACM0, /dev/ttyUSB1'
-    assert refusal('no_such_port') == refusal(ABSENT)
-
-
-@pytest.mark.parametrize('given', ['null', 'dev/null'])
-def test_a_path_without_dev_is_reported(given, refusal):
-    assert refusal(given) == ('there is no such device; waiting for it; did you mean /dev/null?')

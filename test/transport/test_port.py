@@ -1,9 +1,6 @@
 """The port, over real ttys, over sockets, and over kinds without a descriptor."""
 import contextlib
-import getpass
 import os
-import re
-import shutil
 import socket
 import subprocess
 import sys
@@ -16,17 +13,10 @@ from fake_boards import PATIENCE, until
 from lines import Rfc2217Server
 from waiting import Waiter, again_if_stalled
 
-from serial_communication.transport.pace import clock, set_priority
+from serial_communication.transport.pace import clock
 from serial_communication.transport.holders import Holder, holders_of
 from serial_communication.transport.port import Loan, Port, PortBusy, PortError
-from serial_communication.transport.urls import check_url, read_url
-
-_WRITER = """
-import os, sys
-os.write(int(sys.argv[1]), b'a packet of 22 bytes..')
-while os.read(0, 1):        # it has been read
-    os.write(int(sys.argv[1]), b'a packet of 22 bytes..')
-"""
+from serial_communication.transport.urls import read_url
 
 
 class Reader(threading.Thread):
@@ -100,32 +90,6 @@ def test_a_read_sleeps_until_bytes_are_received(port, line):
     timer.join()
 
 
-def test_a_reader_of_real_time_priority_sleeps_once_for_each_packet(port, line):
-    """A poll that waits for the kernel's worker would put it to sleep a second time.
-
-    Another process writes, so that the reader never waits for Python's lock.
-    """
-    count = 200
-
-    def read(writer):
-        if not set_priority(10):
-            raise PermissionError
-        for _ in range(count):
-            assert port.read(PATIENCE)
-            writer.stdin.write(b'.')
-        with open('/proc/thread-self/status') as file:
-            return int(re.search(r'^voluntary\D*(\d+)', file.read(), re.MULTILINE)[1])
-
-    def sleeps_once():
-        with subprocess.Popen([sys.executable, '-c', _WRITER, str(line.fd)], bufsize=0,
-                              stdin=subprocess.PIPE, pass_fds=[line.fd]) as writer:
-            try:
-                return Waiter(read, writer).result() < 1.15 * count
-            except PermissionError:
-                pytest.skip('this user may not have real-time priority')
-    assert again_if_stalled(sleeps_once)
-
-
 def test_a_read_ends_after_its_timeout(port):
     begun = time.monotonic()
     assert port.read(0.1) == b''
@@ -166,44 +130,6 @@ def test_a_read_of_a_removed_device_raises_port_error(port, line):
 
 # -- opening --------------------------------------------------------------------------------------
 
-def test_opening_what_is_not_a_serial_port_reports_why(tmp_path, refusal):
-    (tmp_path / 'file').write_text('text')
-    (tmp_path / 'dangling').symlink_to(tmp_path / 'nowhere')
-    assert refusal(str(tmp_path / 'missing')) == 'there is no such device; waiting for it'
-    assert refusal(str(tmp_path / 'dangling')) == 'there is no such device; waiting for it'
-    assert refusal(str(tmp_path)) == 'this is a directory, not a serial port'
-    assert refusal(str(tmp_path / 'file')) == 'this is not a serial port'
-    assert refusal('/dev/null') == 'this is not a serial port'
-
-
-@pytest.mark.parametrize('mode, group, words', [
-    (0o660, 'dialout', 'join the group that owns it (sudo usermod -a -G dialout $USER)'),
-    (0o660, 'uucp', 'join the group that owns it (sudo usermod -a -G uucp $USER)'),
-    (0o600, 'dialout', 'only root may open it'), (0o660, 'root', 'only root may open it')])
-def test_a_denied_permission_is_reported_with_its_group_or_owner(
-        tmp_path, line, refusal, mode, group, words):
-    target = os.path.realpath(line.path)
-    os.chmod(str(tmp_path), 0o755)
-    root = os.geteuid() == 0
-    if root:
-        shutil.chown(target, 'root', group)
-    else:
-        mode, words = 0, f'only {getpass.getuser()} may open it'
-    os.chmod(target, mode)
-    groups = os.getgroups()
-    if root:
-        os.setgroups([])    # after a login root is a member of its own group
-        os.setegid(65534)
-        os.seteuid(65534)
-    try:
-        error = refusal(target)
-    finally:
-        if root:
-            os.seteuid(0)
-            os.setegid(0)
-            os.setgroups(groups)
-    assert error.startswith('permission denied; ' + words)
-
 
 def test_a_port_is_opened_exclusively(port, line, refusal):
     assert refusal(line.path) == f'this program itself has it open (pid {os.getpid()})'
@@ -236,25 +162,6 @@ def test_the_program_that_has_a_port_open_is_named(line, tmp_path, refusal):
     assert Holder(held.pid, 'holds_it') not in holders_of(line.path)
 
 
-def test_the_holder_is_looked_up_once_for_many_tries(line, monkeypatch):
-    looked_up = []
-    monkeypatch.setattr('serial_communication.transport.port_errors.holders_of',
-                        lambda path: looked_up.append(path) or [])
-    port, holder = Port(line.path), Port(line.path)
-    for _ in range(2):
-        holder.open()
-        for _ in range(3):
-            with pytest.raises(PortError) as error:
-                port.open()
-            assert str(error.value) == ('another program has it open, of another user: `sudo fuser '
-                                        f'-v {line.path}` names it')
-        assert looked_up == [line.path]
-        holder.close()
-        port.open()         # so the next holder may be another one
-        port.close()
-        looked_up.clear()
-
-
 def test_a_loan_that_is_renewed_while_the_holders_are_looked_up_goes_on(line, monkeypatch):
     port, renewed = Port(line.path), Loan('me', clock() + PATIENCE)
     assert port.lend_closed(Loan('me', clock())), 'which is over at once'
@@ -272,17 +179,6 @@ def test_a_loan_that_is_renewed_while_the_holders_are_looked_up_goes_on(line, mo
 def test_a_scheme_is_the_same_in_any_case(url, lower, scheme):
     assert read_url(url) == (lower, scheme)
     assert Port(url).is_network == (scheme in ('socket', 'rfc2217'))
-
-
-def test_ptmx_is_refused_and_not_opened(tmp_path, refusal):
-    """Each opening of it would make a pseudo terminal."""
-    (tmp_path / 'ptmx').symlink_to('/dev/ptmx')
-    for path in '/dev/ptmx', str(tmp_path / 'ptmx'):
-        with mock.patch('os.open', wraps=os.open) as opened:
-            assert 'makes a new pseudo terminal at each opening' in refusal(path)
-            with pytest.raises(ValueError, match='^' + path + ' makes a new pseudo terminal'):
-                check_url(path)
-        assert path not in [call.args[0] for call in opened.call_args_list]
 
 
 @pytest.mark.parametrize('major, byte_time', [(4, 1e-4), (188, 1e-4), (166, 0.0)])

@@ -2,6 +2,8 @@
 import os
 
 import pytest
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
 from serial_communication.transport.urls import identity
 
@@ -17,6 +19,11 @@ def test_all_paths_and_links_of_a_device_are_the_same_port(line, tmp_path):
                 f'alt://{device}?class=PosixPollSerial'):
         assert identity(url) == identity(device), url
     assert identity('/dev/null') != identity('/dev/zero'), 'of one driver'
+
+
+def test_a_pattern_of_devices_and_the_device_that_it_finds_are_the_same_port(monkeypatch):
+    monkeypatch.setattr(list_ports, 'comports', lambda *_: [ListPortInfo('/dev/null')])
+    assert identity('hwgrep://nul+') == identity('HWGREP://null') == identity('/dev/null')
 
 
 def test_a_second_device_node_is_the_same_port(tmp_path):

@@ -20,6 +20,7 @@ class End(enum.Enum):
     """Why a calibration is over, as a log line."""
 
     BACK = 'IMU data is received again: the calibration is over'
+    RESET = 'the board was reset: the calibration is over'
     GOES_ON = (f'IMU data was still received {_GOES_ON:g} s after the request to calibrate: the '
                'board does not calibrate; commands are accepted again')
     TIMEOUT = ('the calibration did not end within {:g} s; commands are accepted again; check the '

@@ -56,8 +56,9 @@ class ArduinoLink(Link):
         self.output = CarOutput(self, settings.speed_timeout, settings.calibration_timeout)
         self.heartbeat = HeartbeatThread(
             'arduino heartbeat', settings.heartbeat_rate, self.output.send_what_is_due,
-            lambda text: self.output.warn('fault', text))
+            lambda text: self.log.warn('fault', text))
         self.lending.let_go = self.output.let_go
+        self.lending.was_reset = lambda: self._end_calibration(End.RESET)
         self._on_message = on_message
         self._on_log = on_log
         self._on_calibrating = on_calibrating
@@ -113,9 +114,7 @@ class ArduinoLink(Link):
                 raise ValueError(reason)
             wire.encode(message)     # before any log line quotes a text that is too long
         except ValueError as error:
-            too_long = len(getattr(message, 'text', '')) > wire.LED_LIMIT
-            raise Refused(f'{message.LABEL} refused: {error}',
-                          'too long' if too_long else 'value') from None
+            raise Refused(f'{message.LABEL} refused: {error}', 'value') from None
         self.output.command(message)
 
     def add_motion(self, zero: LayoutMessage) -> None:
@@ -208,18 +207,16 @@ class ArduinoLink(Link):
                           'it talks')
 
     def idle(self, now: float) -> Optional[float]:
-        while self.output.warnings:
-            self.log.warn(*self.output.warnings.popleft())
         if self.output.calibration:
             self._end_calibration(self.output.calibration.check_timeout(clock()))
         return None
 
     def _end_calibration(self, end: Optional[End]) -> None:
-        """End the calibration for this reason; None: it is not over."""
-        if end is None:
+        """End the calibration, if there is one, for this reason; None: it is not over."""
+        if end is None or not self.calibrating:
             return
         self.output.calibration = None
-        if end is End.BACK:
+        if end in (End.BACK, End.RESET):
             self.log.info('calibrated', end.value)
         else:
             self.log.warn('not calibrated', end.value.format(self.settings.calibration_timeout))

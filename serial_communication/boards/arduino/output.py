@@ -5,8 +5,7 @@ Only this module, `motor` and `calibration` decide what may reach the motor, and
 import threading
 import time
 import traceback
-from collections import deque
-from typing import Deque, Dict, Optional, Tuple
+from typing import Dict, Optional, Tuple
 
 from ...framing.layout import LayoutMessage
 from ...framing.settings import SettingMessage
@@ -47,11 +46,8 @@ class CarOutput:
         self.lock = threading.Lock()         # held while anything is sent; guards all below
         self.motor = Motor(speed_timeout, clock())
         self.calibration: Optional[Calibration] = None
-        # (cause, text) of warnings. The link's thread logs them: outside the node a log call may
-        # block, and neither a heartbeat nor a stop may wait for one.
-        self.warnings: Deque[Tuple[str, str]] = deque()
         self.is_held = False                 # the other side of a pty may hold what is written
-        self._link, self._port = link, link.port
+        self._link, self._port, self._log = link, link.port, link.log
         self._speed_timeout = speed_timeout
         self._calibration_timeout = calibration_timeout
         self._cut_off = False                # the latest packet may have been sent in part
@@ -161,6 +157,8 @@ class CarOutput:
             now = clock()       # read with the lock held: the bridge may stall while it waits
             self._check_for_stall(now)
             self.motor.awake(now)
+            if not self._port.is_open:
+                self._watch.restart(now)     # any thread may be the first to write when it opens
             if self._has_ended or not self._port.is_open:
                 return False
             try:
@@ -172,8 +170,8 @@ class CarOutput:
                 if why:
                     self._send(_SPEED_0, now)
                 if why is Stop.TIMED_OUT:
-                    self.warn('speed timeout', f'no speed command for {self._speed_timeout:g} s: '
-                              'sent SPEED 0')
+                    self._log.warn('speed timeout', 'no speed command for '
+                                   f'{self._speed_timeout:g} s: sent SPEED 0')
                 if calibration is None:
                     self._send_zeros(now)
                 if heartbeat_due:
@@ -202,11 +200,11 @@ class CarOutput:
             self._stop()
         self._let_it_leave()
 
-    def let_go(self, why: str) -> None:
+    def let_go(self, why: str, resets: bool = False) -> None:
         """Send SPEED 0, and nothing after it until the port is opened again; Refused while the
-        board calibrates."""
+        board calibrates, unless it is reset then."""
         with self.lock:
-            if self.calibration is not None:
+            if self.calibration is not None and not resets:
                 raise Refused(f'not now: {_CALIBRATES}', 'calibrating')
             self._drop_backlog_if_blocked(clock(), _LONGEST_WAIT_AT_END)
             self._stop()
@@ -236,8 +234,8 @@ class CarOutput:
         """The port was closed; when it opens again, any thread may be the first to write."""
         with self.lock:
             if self.motor.moving and not self._has_ended:
-                self.warn('moved', 'the port closed while the car may have been moving: '
-                          'SPEED 0 is sent first when it is open again')
+                self._log.warn('moved', 'the port closed while the car may have been moving: '
+                               'SPEED 0 is sent first when it is open again')
             self.motor.forget_speed()
             self._cut_off = True        # closing may have cut a packet
             self.is_held = self._stands = False
@@ -247,10 +245,6 @@ class CarOutput:
         with self.lock:
             self.motor.forget_speed()
             self._cut_off = True
-
-    def warn(self, cause: str, text: str) -> None:
-        """Have the link's thread log a warning."""
-        self.warnings.append((cause, text))
 
     # -- the caller holds the lock ------------------------------------------------------
 
@@ -308,7 +302,7 @@ class CarOutput:
         except (PortBusy, PortError) as error:
             return str(error)
         except Exception as error:  # pylint: disable=broad-except
-            self.warn('fault', traceback.format_exc())
+            self._log.warn('fault', traceback.format_exc())
             return f'{error!r}'
         return ''
 
@@ -328,8 +322,8 @@ class CarOutput:
         # priority.
         seconds = self.motor.detect_stall(now, self._link.connection.stalls.awake_at)
         if seconds is not None:
-            self.warn('stall', f'the bridge stalled for {seconds:.3g} s: SPEED 0 is sent first, '
-                      'and commands from that time are dropped')
+            self._log.warn('stall', f'the bridge stalled for {seconds:.3g} s: SPEED 0 is sent '
+                           'first, and commands from that time are dropped')
 
     def _drop_backlog_if_blocked(self, now: float, longest: float = LONGEST_WAIT) -> None:
         """Do that if bytes wait in the port for so much longer than the line needs for them."""
@@ -345,9 +339,9 @@ class CarOutput:
         """Drop the output that waits in a blocked port, so that no old command reaches the
         board."""
         self._stands = True
-        self.warn('blocked', 'the port takes no data: ' + (
+        self._log.warn('blocked', 'the port takes no data: ' + (
             'the output that waited is dropped' if self._drop() else 'the connection is closed')
-                  + ', and the board stops its motor')
+                       + ', and the board stops its motor')
 
     def _drop(self) -> bool:
         """Drop what was written but not sent; return whether the port is still usable."""

@@ -4,8 +4,8 @@
                off when no heartbeat is received for 30 ms, until the next SPEED that follows a
                heartbeat within 30 ms; while it is off, the car rolls out
     encoder    400 ticks a metre, either way; TICKS every 10 ms
-    servo      1000 … 2000 µs, 1500 is straight on, more is left; 0.3 s from end to end; feedback
-               512 ± 300; STEERING_ANGLE every 10 ms
+    servo      1000 … 2000 µs, 1500 is straight on, more is right; 0.3 s from end to end; feedback
+               512 ± 300, more is right; STEERING_ANGLE every 10 ms
     car        wheelbase 0.26 m, wheels turn by up to 25°
     IMU        every 10 ms: orientation, rates and accelerations (with gravity) of the motion
     battery    8.2 V, sags by up to 0.6 V under load; VOLTAGE every second, averaged over 3 s
@@ -284,7 +284,7 @@ class ModelCar(Board):
         self.steering += min(max(self._servo_target - self.steering, -limit), limit)
 
     def _wheel_angle(self) -> float:
-        return (self.steering - SERVO_CENTRE) / (SERVO_MAX - SERVO_CENTRE) * STEERING_LOCK
+        return (SERVO_CENTRE - self.steering) / (SERVO_MAX - SERVO_CENTRE) * STEERING_LOCK
 
     # -- measurements -------------------------------------------------------------------------
 

@@ -33,6 +33,7 @@ class BusSettings(NamedTuple):
     environment_period: float = 1.0    # 0: never
     environment_datelen: int = 2
     reply_has_cmd2: bool = False
+    echo: bool = True                  # whether the board knows ECHO
     announcements: bool = False        # ask the board for its announcement after each connect
 
 
@@ -44,7 +45,7 @@ class BusLink(Link):
         link_arguments: frame_timeout, clock and logger, as for `Link`.
     """
 
-    HAS_FENCES = True      # the Master drops all replies until an ECHO has returned
+    HAS_FENCES = True      # the Master drops all replies until its ECHO or SYNC is answered
     DRAINS = True          # no request may be sent before everything received has been read
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),
@@ -56,7 +57,7 @@ class BusLink(Link):
         self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log,
                              drop_output=self._drop_output, begun_anew=self._board_begun_anew,
                              still_announces=lambda: self.announcement.is_current,
-                             is_stopped=lambda: self.is_stopped)
+                             is_stopped=lambda: self.is_stopped, echoes=settings.echo)
         self.lending.under_way = self.master.under_way
         self._on_environment = lambda outcome: on_environment and on_environment(
             wire.Environment.unpack(outcome.data), outcome.stamp)
@@ -258,7 +259,7 @@ class BusLink(Link):
         return _WORDS.get(self.master.condition(), 'not_synchronised')
 
     def talks(self, now: float) -> Optional[bool]:
-        # None for NO_ECHO: some boards do not know ECHO, and the Master has logged it.
+        # None for NO_ECHO: the board answers SYNC, and the Master has logged the rest.
         return {Condition.READY: True, Condition.NO_SYNC: False}.get(self.master.condition())
 
     def silence(self) -> str:

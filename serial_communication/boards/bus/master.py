@@ -13,9 +13,9 @@ from ...framing.stream import CHECKSUM, Frame
 from ...link.outcome import STOPPED, TIMEOUT, Outcome
 from ...link.sparing_log import SparingLog
 from . import wire
-from .call import (NOT_READY_WAIT, UNKNOWN, Call, CallQueue, CallState, outcome_of,
-                   unknown_after_invalid)
-from .session import (NOTHING, Event, Exchange, Kind, Session, SessionState, event_of, may_answer)
+from .call import NOT_READY_WAIT, UNKNOWN, Call, CallQueue, outcome_of, unknown_after_invalid
+from .session import (NOTHING, Condition, Event, Exchange, Kind, Session, SessionState, event_of,
+                      may_answer)
 
 FENCE_SILENCE = 0.02   # s of silence as a fence: a USB adapter delivers bytes up to 16 ms late
 FENCE_AGE = 1.0        # s; before a move, an older fence is renewed
@@ -48,15 +48,16 @@ class Master(Session):
         begun_anew: called with the time when the board may have begun anew, or be another one.
         still_announces: whether the board has announced the announced functions since then.
         is_stopped: whether ~stop refuses what is not repeatable.
+        echoes: whether the board knows ECHO; if not, a silence is the fence: see rule 6.
     """
 
     def __init__(self, reply_timeout: float, motion_timeout: float, log: SparingLog,
                  nonce: Callable[[], bytes] = lambda: os.urandom(4),
                  drop_output: Callable[[float], None] = lambda sent: None,
                  begun_anew: Callable[[float], None] = lambda now: None,
-                 still_announces: Callable[[], bool] = lambda: True,
+                 still_announces: Callable[[], bool] = lambda: True, echoes: bool = True,
                  is_stopped: Callable[[], bool] = lambda: False) -> None:
-        super().__init__(reply_timeout, log, nonce, begun_anew)
+        super().__init__(reply_timeout, log, nonce, begun_anew, echoes)
         self.calls = CallQueue(max(motion_timeout, NOT_READY_WAIT))
         self._submitted: Deque[Call] = deque()     # from other threads
         self.timeouts = 0
@@ -101,9 +102,7 @@ class Master(Session):
     def received(self, frame: Frame, now: float) -> None:
         """A valid reply was received."""
         reply, exchange = frame.message, self._exchange
-        self._last_reply = now
-        if reply.cmd1 == wire.ECHO:      # late or not, the board knows ECHO
-            self._has_echoed = True
+        self._last_bytes = now
         self.calls.doubt_invalid(reply)
         if isinstance(exchange, CallExchange):
             self._call_answered(exchange, frame, now)
@@ -113,6 +112,7 @@ class Master(Session):
     def damaged(self, frame: Frame, now: float) -> None:
         """Bytes were received that are not a valid reply."""
         exchange = self._exchange
+        self._last_bytes = now
         self.calls.doubt_invalid()
         # Only a frame with a wrong checksum can be the reply. After noise, for example during a
         # motion, the reply may still arrive.
@@ -175,69 +175,72 @@ class Master(Session):
             self._timed_out(self._exchange, now)
         if port_ready:      # also a stop that is overdue, since it waited during a stall
             for call in self.calls:
-                if not call.at_once:
-                    continue
-                if self._may_have(call):
+                why = self._why_not(call)
+                if call.at_once and why:
+                    self.calls.abandon(call, why)
+                elif call.at_once:
                     return call.request if call.claim_at_once() else None, now
-                self.calls.abandon(call, _NOT_ANNOUNCED)
-                return None, now
         self._abandon_overdue(now, waits_for)
         request, due = self._next_request(now) if port_ready and not waits_for else (None, _NEVER)
         due = min([due, self._exchange.deadline, *map(self._expiry, self.calls)])
         return request, due if due < _NEVER else None
 
     def _next_request(self, now: float) -> Tuple[Optional[wire.Request], float]:
-        """The request to send now, and the end of the silence that has to precede the next one."""
+        """The request to send now, or None, and when to look for one again."""
         if self._exchange is not NOTHING or self.state is SessionState.CLOSED:
             return None, _NEVER
         if not self.in_step:
-            return self._send_next(now), _NEVER
-        while True:
-            call = self.calls.next()
-            if call is None:
-                return None, _NEVER
-            if call.state is CallState.CONFIRMING:
-                call.confirm()      # in step: an ECHO has returned since
-            if call.state is CallState.DONE:
-                self.calls.remove(call)
-                continue
-            if not self._may_have(call):
-                self.calls.abandon(call, _NOT_ANNOUNCED)
-                continue
-            if self._is_stopped() and not call.function.repeatable:
-                self.calls.abandon(call, STOPPED)
-                continue
-            is_fenced = self.state is SessionState.FENCED
-            if self._needs_fence(call):
-                silent_until = self._last_reply + FENCE_SILENCE
-                is_old = now > self._fenced_at + FENCE_AGE     # rule 10
-                if self._never_echoes and now < silent_until:
-                    return None, silent_until
-                if not self._never_echoes and (
-                        not is_fenced or is_old and not call.function.repeatable):
-                    return self._send(Kind.ECHO, now), _NEVER
-            self.calls.remove(call)
-            if call.claim():
-                self.state = SessionState.IN_STEP
-                return self._begin(CallExchange(call.kind, call.request, now, now + call.timeout,
-                                                call, is_fenced)), _NEVER
+            return self._probe(now), _NEVER
+        call = self._next_call()
+        if call is None:
+            return None, _NEVER
+        is_fenced = self.state is SessionState.FENCED
+        if self._needs_fence(call):
+            silent_until = self._last_bytes + FENCE_SILENCE
+            is_old = now > self._fenced_at + FENCE_AGE     # rule 10
+            if self._echoes and (not is_fenced or is_old and not call.function.repeatable):
+                return self._probe(now), _NEVER
+            if not self._echoes and now < silent_until:
+                return None, silent_until
+        self.calls.remove(call)
+        if not call.claim():
+            return None, now
+        call.tries -= 1
+        self.state = SessionState.IN_STEP
+        return self._begin(CallExchange(Kind.CALL, call.request, now, now + call.timeout, call,
+                                        is_fenced)), _NEVER
+
+    def _next_call(self) -> Optional[Call]:
+        """The first call that may be sent; those before it end."""
+        for call in iter(self.calls.next, None):
+            if call.invalid and not call.tries:
+                call.finish(call.invalid)       # in step: an ECHO has returned since; rule 4
+            why = self._why_not(call)
+            if call.outcome is None and not why:
+                return call
+            self.calls.abandon(call, why)
+        return None
 
     def _needs_fence(self, call: Call) -> bool:
         """Whether a reply to the request before could be taken for its reply; rule 6."""
-        return call.kind is Kind.CALL or (call.poll and call.request != self._latest_request)
+        if call.poll:
+            return call.request != self._latest_request
+        return not call.function.repeatable or call.request.cmd1 not in (wire.SYNC, wire.ECHO)
 
-    def _may_have(self, call: Call) -> bool:
-        """Whether the board is known to have the function; rule 12."""
-        return not call.function.announced or self._still_announces()
+    def _why_not(self, call: Call) -> str:
+        """Why a call may not be sent; '' if it may."""
+        if self._is_stopped() and not call.function.repeatable:
+            return STOPPED
+        # Rule 12: the board has to be known to have the function.
+        return _NOT_ANNOUNCED if call.function.announced and not self._still_announces() else ''
 
     # -- replies ------------------------------------------------------------------------
 
     def _call_answered(self, exchange: CallExchange, frame: Frame, now: float) -> None:
         """A reply was received while the request of a call is outstanding."""
         call, reply = exchange.call, frame.message
-        # Without a fence, an OK with data that is not expected may be for another request; rule 5.
-        is_unfenced = exchange.kind is Kind.CALL and not exchange.fenced
-        is_foreign = (self._never_echoes or is_unfenced) and reply.cmd1 == wire.OK and reply.data \
+        # Rule 5
+        is_foreign = not self._echoes and reply.cmd1 == wire.OK and reply.data \
             and call.function.reply.is_empty
         if is_foreign or not may_answer(reply, call.request):     # the right one may follow
             exchange.other_reply = reply
@@ -251,11 +254,12 @@ class Master(Session):
             return
         outcome = outcome_of(reply, call.request, now - exchange.sent, frame.stamp)
         self.round_trips.append(outcome.round_trip)
-        self._learn(reply, now)
+        if reply.cmd1 == wire.SYNC:
+            self._begun_anew(now)
         self._happened(event_of(reply, True), now)
         if reply.cmd1 != wire.INVALID:
             self.calls.finish(call, outcome, now)
-        elif exchange.kind is Kind.CALL and exchange.reply_may_be_lost:
+        elif exchange.reply_may_be_lost or not self._echoes:
             self.calls.try_failed(call, unknown_after_invalid(outcome), now)
         else:
             self.calls.refused(call, outcome, now)
@@ -269,9 +273,9 @@ class Master(Session):
         exchange.other_reply = frame.message
         outcome = Outcome(wire.OK, text, 0, frame.message.data, now - exchange.sent, False,
                           frame.stamp)
-        if not exchange.fenced and not call.function.repeatable:
+        if not self._echoes and not call.function.repeatable:
             exchange.reply_may_be_lost = True
-            self._happened(Event.OTHER, now)    # the board never echoes
+            self._happened(Event.OTHER, now)
             return
         self._happened(Event.WRONG_DATA, now)
         if exchange.fenced:
@@ -280,15 +284,13 @@ class Master(Session):
             self.calls.try_failed(call, outcome, now)
 
     def _timed_out(self, exchange: Exchange, now: float) -> None:
-        if exchange.kind is not Kind.SILENCE:
-            self.timeouts += 1
+        self.timeouts += 1
         if not isinstance(exchange, CallExchange):
             self._happened(Event.TIMEOUT, now)
             if self._interrupted and now >= self._interrupted.deadline:
                 self._drop_output(self._interrupted.sent)       # rule 10
                 self._interrupted = None
-            if exchange.kind is not Kind.SILENCE:
-                self.calls.stop_again()
+            self.calls.stop_again()
             return
         call, within = exchange.call, f'within {exchange.call.timeout:g} s'
         if exchange.other_reply is not None:
@@ -332,12 +334,13 @@ class Master(Session):
     def _expiry(self, call: Call) -> float:
         """When a waiting call is given up.
 
-        That is sooner while the link is not ready. But a synchronised board may first have to
-        finish something, such as a move, before it answers ECHO.
+        That is sooner while the link is not ready. But the board may first have to finish
+        something, such as a move, before it answers ECHO.
         """
         if self.in_step or call.function.interrupts or self.outstanding_call:
             return call.expires
-        wait = max(NOT_READY_WAIT, call.timeout) if self.synchronised else NOT_READY_WAIT
+        is_late = self.condition() is Condition.OUT_OF_STEP
+        wait = max(NOT_READY_WAIT, call.timeout) if is_late else NOT_READY_WAIT
         return min(call.expires, max(call.submitted, self.calls.served_until) + wait)
 
     def _abandon_overdue(self, now: float, waits_for: str) -> None:

@@ -41,6 +41,7 @@ class BusInterface(Interface):
         'environment_period': seconds(_DEFAULTS.environment_period, 0.0, 86400.0),
         'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
+        'echo': Parameter(_DEFAULTS.echo),
         'functions': Parameter({}, parse=lambda given: [
             _ros_function(function) for function in read_functions(given)]),
         'announcements': Parameter(_DEFAULTS.announcements),

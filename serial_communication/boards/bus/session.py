@@ -11,7 +11,7 @@ from typing import Callable, Dict, Optional, Tuple
 from ...link.sparing_log import SparingLog
 from . import wire
 
-ECHO_TRIES = 3         # unanswered ECHOs before a SYNC and a silence replace them
+ECHO_TRIES = 3         # ECHOs in a row without an answer, after which no call is sent
 
 
 class SessionState(enum.Enum):
@@ -19,8 +19,8 @@ class SessionState(enum.Enum):
 
     CLOSED = 'nothing: the port is closed'
     UNSYNCHRONISED = 'SYNC'
-    OUT_OF_STEP = 'ECHO: a reply may still be under way'
-    IN_STEP = 'SYNC, ECHO, or the same poll again; before any other request, an ECHO as a fence'
+    OUT_OF_STEP = 'ECHO, or SYNC if the board knows none: a reply may still be under way'
+    IN_STEP = 'SYNC, ECHO, or the same poll again; before any other request, a fence'
     FENCED = 'any request: no reply can be under way'
 
 
@@ -31,7 +31,7 @@ class Condition(enum.Enum):
     SYNCHRONISING = 'synchronising'
     NO_SYNC = 'the board does not answer SYNC'
     OUT_OF_STEP = 'out of step'
-    NO_ECHO = 'the board does not answer ECHO'
+    NO_ECHO = 'the board does not answer ECHO (see bus/echo)'
 
 
 class Kind(enum.Enum):
@@ -40,9 +40,7 @@ class Kind(enum.Enum):
     NOTHING = 'nothing'
     SYNC = 'a SYNC of the Master itself'
     ECHO = 'an ECHO of the Master itself'
-    SILENCE = 'a silence that replaces an ECHO'
-    PROBE = "a poll, or a caller's SYNC or ECHO: it needs no confirmation by an ECHO"
-    CALL = 'any other request of a caller'
+    CALL = 'the request of a call or a poll'
 
 
 class Event(enum.Enum):
@@ -56,7 +54,7 @@ class Event(enum.Enum):
     DAMAGED = 'a frame with a wrong checksum'
     NOISE = 'other bytes that are not a valid reply'
     MISSED = 'replies may have been received and dropped'
-    TIMEOUT = 'the time for the reply, or of the silence, is over'
+    TIMEOUT = 'the time for the reply is over'
     STOP = 'a call that interrupts is sent'
 
 
@@ -66,7 +64,6 @@ class Then(enum.Enum):
     WAIT = 'it stays outstanding'
     END = 'it has ended'
     RETRY = 'it has ended without a reply, and counts as unanswered'
-    AGAIN = 'it begins anew'
 
 
 _SAME = None
@@ -81,15 +78,12 @@ def _rows(otherwise: Transition, **others: Transition) -> Dict[Event, Transition
     return {event: others.get(event.name, otherwise) for event in Event}
 
 
-# To the request of a caller. After a reply to another one, or noise, the right one may follow.
-_REPLIES = dict(ANSWER=(_SAME, Then.END), UNSYNCHRONISED=(_LOST, Then.END), OTHER=(_OUT, Then.WAIT),
-                NOISE=(_OUT, Then.WAIT), MISSED=(_OUT, Then.WAIT))
-
 # The state afterwards for each event, and what becomes of what is outstanding. Where a call has
 # ended, `Master` decides by rules 4, 5 and 7 whether it is sent again or has an outcome.
 #
-# Not in the table: the port opens (UNSYNCHRONISED) and closes (CLOSED), and a request of a call is
-# sent (IN_STEP).
+# Not in the table: the port opens (UNSYNCHRONISED) and closes (CLOSED), a request of a call is sent
+# (IN_STEP), three ECHOs in a row are not answered (UNSYNCHRONISED), and a SYNC is, of a board that
+# knows no ECHO (IN_STEP).
 TRANSITIONS: Dict[Kind, Dict[Event, Transition]] = {
     Kind.NOTHING: _rows(                               # a board that is not synchronised stays so
         (_OUT, Then.WAIT),
@@ -105,20 +99,19 @@ TRANSITIONS: Dict[Kind, Dict[Event, Transition]] = {
         UNSYNCHRONISED=(_LOST, Then.RETRY),
         TIMEOUT=(_OUT, Then.RETRY),
         STOP=(_OUT, Then.END)),
-    Kind.SILENCE: _rows(                               # rule 6
-        (_SAME, Then.AGAIN),
+    Kind.CALL: _rows(                                  # after INVALID, an ECHO: rule 4
+        (_OUT, Then.END),
+        ANSWER=(_SAME, Then.END),
         UNSYNCHRONISED=(_LOST, Then.END),
-        TIMEOUT=(_FENCED, Then.END),
-        STOP=(_SAME, Then.END)),
-    Kind.PROBE: _rows((_OUT, Then.END), **_REPLIES, INVALID=(_SAME, Then.END)),
-    # Rule 4: an ECHO has to confirm the INVALID.
-    Kind.CALL: _rows((_OUT, Then.END), **_REPLIES, INVALID=(_OUT, Then.END)),
+        OTHER=(_OUT, Then.WAIT),                       # the right reply may follow
+        NOISE=(_OUT, Then.WAIT),
+        MISSED=(_OUT, Then.WAIT)),
 }
 
 
 @dataclass
 class Exchange:
-    """What is outstanding: a request, a silence, or nothing."""
+    """What is outstanding: a request, or nothing."""
 
     kind: Kind
     request: wire.Request
@@ -133,25 +126,24 @@ class Session:
     """The base of `Master`: the state, and the exchanges that need no caller."""
 
     def __init__(self, reply_timeout: float, log: SparingLog, nonce: Callable[[], bytes],
-                 begun_anew: Callable[[float], None]) -> None:
+                 begun_anew: Callable[[float], None], echoes: bool) -> None:
         self.state = SessionState.CLOSED
         self._exchange = NOTHING
         self._latest_request: Optional[wire.Request] = None
         self._fenced_at = 0.0          # when the latest fence was complete
-        self._last_reply = 0.0         # when the latest valid reply was received
-        self._has_echoed = False       # since the port opened
+        self._last_bytes = 0.0         # when the latest bytes were received
         self._unanswered: Dict[Kind, int] = Counter()     # SYNCs and ECHOs in a row
         self._reply_timeout = reply_timeout
         self._log = log
         self._nonce = nonce
         self._begun_anew = begun_anew
+        self._echoes = echoes          # bus/echo
 
     def connected(self, now: float) -> None:
         """The port is open: nothing is known about the board."""
         self.state = SessionState.UNSYNCHRONISED
-        self._has_echoed = False
         self._unanswered.clear()
-        self._last_reply = now
+        self._last_bytes = now
 
     @property
     def synchronised(self) -> bool:
@@ -163,18 +155,15 @@ class Session:
         """Whether requests of calls may be sent."""
         return self.state in (SessionState.IN_STEP, SessionState.FENCED)
 
-    @property
-    def _never_echoes(self) -> bool:
-        """Whether the board seems not to know ECHO: then a silence is the fence; see rule 6."""
-        return not self._has_echoed and self._unanswered[Kind.ECHO] >= ECHO_TRIES
-
     def condition(self) -> Condition:
         """Whether the link can serve calls, and if not, why."""
+        if self._unanswered[Kind.SYNC]:
+            return Condition.NO_SYNC
+        if self._unanswered[Kind.ECHO] >= ECHO_TRIES:
+            return Condition.NO_ECHO
         if not self.synchronised:
-            return Condition.NO_SYNC if self._unanswered[Kind.SYNC] else Condition.SYNCHRONISING
-        if not self.in_step:
-            return Condition.NO_ECHO if self._unanswered[Kind.ECHO] else Condition.OUT_OF_STEP
-        return Condition.READY
+            return Condition.SYNCHRONISING
+        return Condition.READY if self.in_step else Condition.OUT_OF_STEP
 
     def _begin(self, exchange: Exchange) -> wire.Request:
         """Send the request of an exchange."""
@@ -182,15 +171,12 @@ class Session:
         self._latest_request = exchange.request
         return exchange.request
 
-    def _send(self, kind: Kind, now: float) -> wire.Request:
-        """Begin a SYNC, an ECHO or a silence."""
-        request = wire.echo(self._nonce()) if kind is Kind.ECHO else wire.SYNC_REQUEST
-        return self._begin(Exchange(kind, request, now, now + self._reply_timeout))
-
-    def _send_next(self, now: float) -> wire.Request:
-        """Send what has to be answered before any call; rules 2 and 6."""
-        is_echo = self.synchronised and self._unanswered[Kind.ECHO] < ECHO_TRIES
-        return self._send(Kind.ECHO if is_echo else Kind.SYNC, now)
+    def _probe(self, now: float) -> wire.Request:
+        """Send what has to be answered before the next call, SYNC or ECHO; rules 2 and 6."""
+        is_echo = self.synchronised and self._echoes
+        request = wire.echo(self._nonce()) if is_echo else wire.SYNC_REQUEST
+        return self._begin(Exchange(Kind.ECHO if is_echo else Kind.SYNC, request, now,
+                                    now + self._reply_timeout))
 
     def _happened(self, event: Event, now: float, why: str = '') -> None:
         """Follow the table; `why` is logged if calls could be sent, and can no longer."""
@@ -200,45 +186,46 @@ class Session:
             self.state = state
         if why and was_in_step and not self.in_step:
             self._log.warn('out of step',
-                           f'out of step: {why}; sending ECHO to get in step again')
+                           f'out of step: {why}; sending {"ECHO" if self._echoes else "SYNC"} '
+                           'to get in step again')
         if state is _LOST:
             self._begun_anew(now)
         elif state is _FENCED:
             self._fenced_at = now
         if then is not Then.WAIT:
             self._exchange = NOTHING
-        if then is Then.AGAIN:
-            self._send(Kind.SILENCE, now)
-        elif then is Then.RETRY:
+        if then is Then.RETRY:
             self._unanswered[exchange.kind] += 1
-            if exchange.kind is Kind.ECHO and self._unanswered[Kind.ECHO] == ECHO_TRIES:
-                self._log.warn('no echo', 'the board does not answer ECHO; a SYNC and '
-                               f'{self._reply_timeout:g} s of silence replace it')
-        elif exchange.kind is Kind.SILENCE and event is Event.TIMEOUT and self._has_echoed:
-            self._unanswered[Kind.ECHO] = 0    # the line lost the echoes: try ECHO again
+            if exchange.kind is Kind.ECHO:
+                self._echo_unanswered()
+
+    def _echo_unanswered(self) -> None:
+        count = self._unanswered[Kind.ECHO]
+        if count >= ECHO_TRIES:
+            self.state = _LOST      # SYNC tells whether there is a board; ECHO follows
+        if count == ECHO_TRIES:
+            self._log.warn('no echo', 'the board does not answer ECHO, and no call is sent before '
+                           'it does; for a board that knows no ECHO set bus/echo to false')
 
     def _own_answered(self, reply: wire.Reply, now: float) -> None:
         """A reply was received while no request of a call is outstanding."""
         kind, request = self._exchange.kind, self._exchange.request
         is_answer = reply.cmd1 == request.cmd1 and may_answer(reply, request)
         event = event_of(reply, is_answer)
+        if kind is Kind.ECHO and self._unanswered[kind] >= ECHO_TRIES \
+                and event is Event.UNSYNCHRONISED:
+            event = Event.OTHER     # SYNC is sent at its timeout, not as fast as it is refused
         if kind is Kind.NOTHING:
             why = f'received a reply without a request: {reply}'
         else:
             why = f'{reply} to {kind.name}' if event is not Event.UNSYNCHRONISED else ''
         self._happened(event, now, why)
         if is_answer and kind in (Kind.SYNC, Kind.ECHO):
-            self._learn(reply, now)
-            if kind is Kind.SYNC and self._unanswered[Kind.ECHO] >= ECHO_TRIES:
-                self._send(Kind.SILENCE, now)
-
-    def _learn(self, reply: wire.Reply, now: float) -> None:
-        """A SYNC or an ECHO was answered, of the Master itself or of a caller."""
-        if reply.cmd1 == wire.SYNC:
-            self._unanswered[Kind.SYNC] = 0
-            self._begun_anew(now)
-        elif reply.cmd1 == wire.ECHO:
-            self._unanswered[Kind.ECHO] = 0
+            self._unanswered[kind] = 0
+            if kind is Kind.SYNC:
+                self._begun_anew(now)
+                if not self._echoes:
+                    self.state = SessionState.IN_STEP
 
 
 def event_of(reply: wire.Reply, is_answer: bool) -> Event:

@@ -19,7 +19,6 @@ from serial_communication.srv import Gimbal, Lift
 
 from ...output import end_with_output, prepare_output
 from ...ros.master import wait_for_master
-from ...ros.rospy_mends.shutdown import leave_ros
 from ..watch.calls import call
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.topics import LINKS, NODE
@@ -143,7 +142,7 @@ def _run(options: argparse.Namespace) -> int:
                 moves.stop()
         table.close()
     finally:
-        leave_ros()
+        rospy.signal_shutdown('it ends')
     return _result(demo, table.elapsed) if options.duration and not stopping.is_set() else 0
 
 

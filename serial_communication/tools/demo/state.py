@@ -41,7 +41,7 @@ class Calls:
 
 
 class PageAddress:
-    """The address of the page that is valid now: the one that the panel has printed last.
+    """The address of the page that the panel has printed.
 
     Args:
         log: the file that it prints to, among other lines.
@@ -62,8 +62,7 @@ class PageAddress:
             return self._address
         complete = new[:new.rfind(b'\n') + 1]
         self._read += len(complete)
-        for found in re.finditer(rb'^panel: (?:for another browser: )?(http://\S+)$', complete,
-                                 re.MULTILINE):
+        for found in re.finditer(rb'^panel: (http://\S+)$', complete, re.MULTILINE):
             self._address = found.group(1).decode(errors='replace')
         return self._address
 

@@ -16,7 +16,6 @@ import rospy
 
 from ...output import end_with_output, prepare_output
 from ...ros.master import wait_for_master
-from ...ros.rospy_mends.shutdown import leave_ros
 from ..watch.calls import node_argument
 from ..watch.live import LiveTable, stopped_by_signals
 from ..watch.state import BridgeState
@@ -63,7 +62,7 @@ def _run(options: argparse.Namespace) -> int:
         table.close()
         return 0
     finally:
-        leave_ros()
+        rospy.signal_shutdown('it ends')
 
 
 def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:

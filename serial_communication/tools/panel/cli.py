@@ -38,8 +38,7 @@ def _arguments(argv: List[str]) -> argparse.Namespace:
         'Ctrl-C ends it.',
         epilog='Without options the page is read-only, and only this machine can open it. '
                '--control, or an address other than 127.0.0.1, needs a token: open the address '
-               'that the panel prints. It opens the page in one browser; then the panel prints '
-               'another one.')
+               'that the panel prints.')
     parser.add_argument('--port', type=_port,
                         help=f'TCP port to listen on; 0: any free one (default: {DEFAULT_PORT}, '
                         'or the next free one)')
@@ -50,9 +49,8 @@ def _arguments(argv: List[str]) -> argparse.Namespace:
     parser.add_argument('--control', action='store_true',
                         help='let the page move lift, gimbal and car')
     parser.add_argument('--token', type=_token,
-                        help='a token of your own, which opens the page any number of times. '
-                        'Others can see it in ps and in the log of roslaunch; @FILE reads it from '
-                        'a file')
+                        help='a token of your own, instead of a random one of each start. Others '
+                        'can see it in ps and in the log of roslaunch; @FILE reads it from a file')
     return parser.parse_args(argv)
 
 

@@ -283,7 +283,8 @@ class Commands:
         now = time.monotonic()
         speeds, steerings = self._publisher('~speed'), self._publisher('~steering')
         self._switch.command(page, hold, seen, now)
-        self._call_later(SILENCE, self._check)      # before anything that may fail
+        # Before anything that may fail.
+        self._call_later(SILENCE, lambda: self._switch.check(time.monotonic()))
         stamp = rospy.Time.now()
         self._publish_speed(speeds, max(-SPEED_LIMIT, min(SPEED_LIMIT, speed)), stamp)
         command = SteeringPWMCommand(value=max(STEERING[0], min(STEERING[1], steering)))
@@ -293,9 +294,6 @@ class Commands:
     def release(self, page: Any, hold: int) -> None:
         """The page's pad is no longer held: stop the car."""
         self._switch.release(page, hold)
-
-    def _check(self) -> None:
-        self._switch.check(time.monotonic())
 
     def _publish_zero(self) -> None:
         publisher = self._publishers.get('~speed')
@@ -313,7 +311,7 @@ class Commands:
 
     def _publisher(self, name: str) -> rospy.Publisher:
         publisher = self._publishers.get(name) if self._wanted else None
-        if publisher is None or not publisher.get_num_connections():
+        if publisher is None or not publisher.impl.has_connection(self._node):
             raise CommandRefused(f'the bridge does not subscribe to {name}: it does not run, '
                                  'or that link is off')
         return publisher

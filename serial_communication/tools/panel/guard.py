@@ -1,19 +1,10 @@
-"""Who may open the page: checks a request's Host and Origin, tokens and keys. Pure."""
+"""Who may open the page: checks a request's Host and Origin, and its token. Pure."""
 import hmac
 import ipaddress
-import secrets
-from collections import deque
-from typing import Callable, Deque, Iterable, Optional
+from typing import Iterable, Optional
 from urllib.parse import urlsplit
 
 MIN_TOKEN_LENGTH = 12     # characters; a token can be guessed over the network
-_PAUSE = 2.0              # s between two guesses of a token of the user's own, in the long run
-_GUESSES = 100            # that may come at once
-_MAX_KEYS = 100           # of browsers; a further one makes the oldest invalid
-
-
-class WrongToken(Exception):
-    """The token is not exchanged for a key; the text says why."""
 
 
 def _host_name(netloc: str) -> str:
@@ -77,52 +68,20 @@ class Guard:
 
 
 class Entrance:
-    """Exchanges the token in the printed address for a key, which one browser keeps.
-
-    A key is in the browser's storage for this host and port, not in a cookie: a browser sends
-    cookies to every port of a host.
+    """Knows the token of the printed address. A browser keeps it in its storage for this host and
+    port, not in a cookie, which it would send to every port of the host.
 
     Args:
-        needed: False: there is no token, and everybody who reaches the page may use it.
-        given: a token that may be exchanged any number of times; None: each one is new, and is
-            exchanged once. A new one cannot be guessed. A given one may be a word: so, after
-            100 wrong tokens at once from all addresses together, one in 2 s is compared.
+        token: None: there is none, and everybody who reaches the page may use it.
     """
 
-    def __init__(self, needed: bool, given: Optional[str] = None) -> None:
-        self._needed = needed
-        self._given = given
-        self.token: Optional[str] = (given or secrets.token_urlsafe(16)) if needed else None
-        self.on_used: Callable[[], None] = lambda: None    # a token has been replaced by a new one
-        self._keys: Deque[str] = deque(maxlen=_MAX_KEYS)
-        self._guessed_until = 0.0   # the time of the latest guess if there were one every _PAUSE
+    def __init__(self, token: Optional[str]) -> None:
+        self.token = token
 
-    def exchange(self, token: str, now: float) -> str:
-        """Return a new key for this token.
-
-        Raises:
-            WrongToken: there is no key, and the text says why.
-        """
-        if self._given and self._guessed_until - now >= _GUESSES * _PAUSE:
-            raise WrongToken(f'somebody sends wrong tokens; one in {_PAUSE:g} s is compared: '
-                             'try again')
-        if not self.token or not _same(token, self.token):
-            self._guessed_until = max(self._guessed_until, now) + _PAUSE
-            raise WrongToken('the token is wrong, or has been used already')
-        key = secrets.token_urlsafe(16)
-        self._keys.append(key)
-        if not self._given:
-            self.token = secrets.token_urlsafe(16)
-            self.on_used()
-        return key
-
-    def check_key(self, key: Optional[str]) -> str:
-        """Why a request with this key is refused; empty if it is allowed."""
-        # The list compares every key, each in constant time, so that the time reveals nothing.
-        if not self._needed or key and any([_same(key, each) for each in self._keys]):
+    def check(self, given: Optional[str]) -> str:
+        """Why a request with this token is refused; empty if it is allowed."""
+        # In constant time, so that the time reveals nothing.
+        if self.token is None or given and hmac.compare_digest(
+                given.encode(errors='replace'), self.token.encode()):
             return ''
-        return 'its key is not valid any more' if key else 'it has no token'
-
-
-def _same(given: str, valid: str) -> bool:
-    return hmac.compare_digest(given.encode(errors='replace'), valid.encode())
+        return 'its token is wrong' if given else 'it has no token'

@@ -1,22 +1,21 @@
 """The page's files over HTTP, and the checks that every request has to pass first.
 
 Everybody may read the files, which are the same for every robot. What they show comes over the
-connection (session.py), which needs a key.
+connection (session.py), which needs the token.
 """
-import time
 from pathlib import Path
 from typing import Any, Optional
 
 from tornado.web import RequestHandler, StaticFileHandler
 
-from .guard import Entrance, Guard, WrongToken
+from .guard import Entrance, Guard
 
 WEB = Path(__file__).resolve().parent / 'web'
 KEY_HEADER = 'X-Key'
 _PERMISSIONS = ', '.join(f'{feature}=()' for feature in (
     'accelerometer', 'camera', 'display-capture', 'fullscreen', 'geolocation',
     'gyroscope', 'hid', 'magnetometer', 'microphone', 'midi', 'payment', 'serial', 'usb'))
-_NEEDS_KEY = '; open the address that the panel printed last'
+_NEEDS_TOKEN = '; open the address that the panel printed'
 
 
 class GuardedHandler(RequestHandler):
@@ -58,9 +57,9 @@ class GuardedHandler(RequestHandler):
         return True
 
     def refuse_without_key(self, key: Optional[str]) -> None:
-        """Refuse the request unless this key is valid or none is needed."""
-        reason = self.entrance.check_key(key)
-        self.refuse('token', reason and reason + _NEEDS_KEY, 401)
+        """Refuse the request unless this is the token or none is needed."""
+        reason = self.entrance.check(key)
+        self.refuse('token', reason and reason + _NEEDS_TOKEN, 401)
 
     def set_default_headers(self) -> None:
         """Allow no foreign or inline content, no embedding in a frame, and no Referer header."""
@@ -86,7 +85,7 @@ class GuardedHandler(RequestHandler):
 
 
 class KeyHandler(GuardedHandler):
-    """Exchanges a token for a key (POST), and says whether a page may connect (GET)."""
+    """Checks the token of an address (POST), and says whether a page may connect (GET)."""
 
     def initialize(self, hub: Any) -> None:
         self._hub = hub
@@ -104,14 +103,11 @@ class KeyHandler(GuardedHandler):
         self.set_header('Cache-Control', 'no-store')
 
     def post(self) -> None:
-        """Answer with a key for the token in the body."""
-        try:
-            key = self.entrance.exchange(self.request.body.decode(errors='replace'),
-                                         time.monotonic())
-        except WrongToken as error:
-            self.refuse('token', f'{error}{_NEEDS_KEY}', 401)
-            return
-        self.finish(key)
+        """Answer with the token in the body, if it is right."""
+        token = self.request.body.decode(errors='replace')
+        self.refuse_without_key(token)
+        if not self._finished:
+            self.finish(token)
 
     def get(self) -> None:
         """Answer with the reason why a page with this key cannot connect; empty if it can."""

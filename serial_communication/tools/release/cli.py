@@ -26,7 +26,6 @@ from serial_communication.srv import Release, ReleaseRequest
 from ...link.lending import STALLED
 from ...link.outcome import Verdict
 from ...output import prepare_output
-from ...ros.rospy_mends import master_calls
 from ..watch.calls import MOST_WAIT, call, node_argument
 from ..watch.topics import NODE
 
@@ -50,7 +49,6 @@ def main(arguments: Optional[List[str]] = None) -> int:
     options = _arguments(sys.argv[1:] if arguments is None else arguments)
     if not shutil.which(options.command[0]):
         return _say(f'there is no program {options.command[0]}', _NOT_STARTED)
-    master_calls.limit_time()
     try:
         device = _device(options.node, options.link)
     except (OSError, ValueError, rosgraph.MasterException) as error:

@@ -8,10 +8,9 @@ import rospy
 
 from ...link.outcome import LOOK, Verdict
 from ...ros.answers import read_error, read_response
-from ...ros.rospy_mends.connections import connected_service
 from .topics import NODE
 
-MOST_WAIT = 2.0     # s for the master, and again for the bridge, to answer
+MOST_WAIT = 2.0     # s for the bridge to answer
 
 
 def node_argument(name: str) -> str:
@@ -39,21 +38,19 @@ def call(name: str, service_class: Any, request: Any, deadline: float) -> Answer
             would move when nobody expects it.
     """
     try:
-        proxy = connected_service(name, service_class, MOST_WAIT)
+        rosgraph.Master(rospy.get_name()).lookupService(name)
+        rospy.wait_for_service(name, MOST_WAIT)
     except rosgraph.MasterException:
         return Answer(Verdict.REFUSED, 'nothing was sent: no bridge offers this service now')
-    except rospy.TransportInitError:
-        return Answer(Verdict.REFUSED, 'nothing was sent: the bridge does not answer')
     except OSError:
         return Answer(Verdict.REFUSED, 'nothing was sent: the ROS master does not answer')
-    except Exception as error:  # pylint: disable=broad-except
-        return Answer(Verdict.REFUSED, f'nothing was sent: {error}')
+    except rospy.ROSException:
+        return Answer(Verdict.REFUSED, 'nothing was sent: the bridge does not answer')
     if time.monotonic() > deadline:
-        proxy.close()
         return Answer(Verdict.REFUSED, 'nothing was sent: master and bridge took more than '
                       f'{MOST_WAIT:g} s to answer; call again')
     try:
-        response = proxy(request)
+        response = rospy.ServiceProxy(name, service_class)(request)
         return Answer(*read_response(response), response)
     except rospy.ServiceException as error:
         return Answer(*read_error(error))

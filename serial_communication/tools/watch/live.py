@@ -5,7 +5,8 @@ import threading
 import time
 from typing import Callable, Optional, Tuple
 
-from ...ros.rospy_mends.log_file import init_node
+import rospy
+
 from .state import BridgeState, ago
 from .table import PERIOD, Heading, Screen, TextLine
 from .watcher import Watcher
@@ -36,7 +37,7 @@ class LiveTable:
         self._outages = Outages()
         self._screen = Screen()
         logging.raiseExceptions = False     # or tracebacks cover the table if the disk is full
-        init_node(name, anonymous=True, disable_signals=True)
+        rospy.init_node(name, anonymous=True, disable_signals=True)
         self.watcher = Watcher(bridge)
         self.watcher.start()
 

@@ -12,7 +12,6 @@ import roslib.message
 import rosgraph
 import rospy
 
-from ...ros.rospy_mends.connections import header_of, packed
 from .state import BridgeState, LinkState
 from .topics import DIAGNOSTICS, BridgeTopic, absolute, expected_links, published_topics
 
@@ -83,18 +82,18 @@ class Watcher:
     # -- messages --------------------------------------------------------------------------
 
     def _receive(self, message: Any, name: str) -> None:
-        header = header_of(message)    # AnyMsg names its sender nowhere else
+        header = message._connection_header    # AnyMsg names its sender nowhere else
         if header.get('callerid') != self._state.node:
             return
         each = self._state.topic(name)
         if each is not None:
             now = time.monotonic()
-            self._latest[name] = packed(message)
+            self._latest[name] = message._buff
             each.received(now)
             if self._on_message:
-                self._on_message(each.topic, packed(message), now)
+                self._on_message(each.topic, message._buff, now)
         if name == DIAGNOSTICS:                # each message is about one link
-            self._receive_links(self._class(header['type'])().deserialize(packed(message)))
+            self._receive_links(self._class(header['type'])().deserialize(message._buff))
 
     def _receive_links(self, message: Any) -> None:
         now = time.monotonic()

@@ -120,6 +120,11 @@ def test_a_custom_command_is_refused_like_other_commands(custom_board, open_link
         'gripper x=1 z=2 refused: the board calibrates its IMU')
 
 
+def test_a_number_that_is_named_text_is_refused_like_any_other(board, open_link):
+    dial = message_class('dial', 50, '<B', [Value('text', maximum=5)])
+    assert str(refusal(open_link().command, dial(9))).startswith('dial refused: text is 9, above')
+
+
 TEXT = message_class('text', 49, '<s', [Value('data')])
 
 

@@ -1,4 +1,6 @@
 """What reaches the board, and when, over a line with a baud rate; the tests set the time."""
+from unittest import mock
+
 import pytest
 
 from serial_communication.boards.arduino import link as link_module
@@ -22,7 +24,7 @@ class Uart(Port):
     16 writes at most. With `flushes` False it cannot drop what waits.
     """
 
-    is_open = property(lambda self: True)
+    is_open = True
 
     def __init__(self, baud=115200, usb=False, flushes=True):
         super().__init__('/dev/null', baud)
@@ -66,9 +68,15 @@ def start(monkeypatch, logger):
         for module in (output_module, link_module):
             monkeypatch.setattr(module, 'clock', lambda: port.now)
         link = ArduinoLink(port, ArduinoSettings(speed_timeout=0.0), logger=logger)
+        link.log.warn = mock.Mock()
         link.output.motor.awake(port.now)
         return link
     return start_link
+
+
+def blocked(link):
+    """How often it was said that the port takes no data."""
+    return [call.args[0] for call in link.log.warn.call_args_list].count('blocked')
 
 
 def run(link, seconds, command=lambda: None, every=1.0):
@@ -101,7 +109,7 @@ def test_many_commands_at_once_are_accepted_and_delay_no_heartbeat(start, times,
     assert max(after - before for before, after in zip(beats, beats[1:])) < BEAT_MISSED
     assert len(beats) == 310 + link.heartbeats_sent
     assert len([packet for *_, packet in link.port.received if len(packet) > size]) == 30 * times
-    assert link.port.dropped == [] and not link.output.warnings
+    assert link.port.dropped == [] and not blocked(link)
 
 
 def test_more_commands_than_the_line_can_send_are_refused(start):
@@ -118,7 +126,7 @@ def test_more_commands_than_the_line_can_send_are_refused(start):
 def test_a_slow_line_may_need_longer_for_one_command_than_a_port_may_stand(start):
     link = start(baud=4800)
     run(link, 3.0, lambda: link.command(STRIP([7] * 250)), 2.0)
-    assert link.port.dropped == [] and not link.output.warnings
+    assert link.port.dropped == [] and not blocked(link)
 
 
 @pytest.mark.parametrize('seconds', [0.1, 0.5, 1.5, 4.0])
@@ -141,9 +149,9 @@ def test_no_old_command_leaves_a_port_that_has_stood(start, seconds, usb):
     stops = [index for index, (*_, packet) in enumerate(after) if packet.endswith(STOP)]
     if seconds > 0.4:
         assert stops[:1] == [0] and link.port.dropped
-        assert {cause for cause, _text in link.output.warnings} == {'blocked'}
+        assert blocked(link)
     else:
-        assert refused == 0 and stops == [] and link.port.dropped == [] and not link.output.warnings
+        assert refused == 0 and stops == [] and link.port.dropped == [] and not blocked(link)
     assert run(link, 1.0, drive, 0.05) == 0
 
 
@@ -152,7 +160,7 @@ def test_where_nothing_can_be_dropped_it_is_tried_every_0_3_s(start):
     run(link, 1.0)
     link.port.stands = True
     run(link, 3.0)
-    assert len([cause for cause, _text in link.output.warnings if cause == 'blocked']) in (9, 10)
+    assert blocked(link) in (9, 10)
 
 
 def test_a_port_that_is_faster_than_its_baud_rate_stands_as_soon(start):
@@ -162,6 +170,18 @@ def test_a_port_that_is_faster_than_its_baud_rate_stands_as_soon(start):
     link.port.stands = True
     run(link, 0.6)
     assert link.port.dropped
+
+
+def test_a_port_that_was_away_takes_all_commands_when_it_is_open_again(start):
+    link = start(usb=True)
+    run(link, 1.0, lambda: link.set_speed(300), 0.05)
+    link.port.is_open = False
+    link.output.closed()
+    run(link, 60.0)
+    link.port.is_open = True
+    link.set_speed(300)     # before the next heartbeat
+    assert run(link, 1.0, lambda: link.set_speed(300), 0.05) == 0
+    assert link.port.dropped == []
 
 
 @pytest.mark.stalls

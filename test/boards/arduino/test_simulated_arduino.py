@@ -121,7 +121,7 @@ def test_ticks_match_the_wheel():
     assert ticks == int(bench.board.distance * TICKS_PER_METRE) > 1000
 
 
-def test_imu_follows_the_motion():
+def test_imu_follows_the_motion_which_a_longer_pulse_turns_to_the_right():
     bench = make()
     drive(bench, 1)
     still = bench.messages(arduino.Imu)[-1]
@@ -131,7 +131,7 @@ def test_imu_follows_the_motion():
     drive(bench, 3, speed=800, steering=1800)
     turning = bench.messages(arduino.Imu)
     rate = sum(message.angular_velocity()[2] for message in turning[-100:]) / 100
-    assert rate == pytest.approx(2.0 * math.tan(math.radians(25) * 0.6) / 0.26, rel=0.05)
+    assert rate == pytest.approx(-2.0 * math.tan(math.radians(25) * 0.6) / 0.26, rel=0.05)
     assert turning[-1].linear_acceleration()[1] == pytest.approx(2.0 * rate, rel=0.1)
     assert all(not message.implausible() for message in turning)
 

@@ -148,7 +148,8 @@ class Model:
         nonces = itertools.count()
         self.master = Master(REPLY_TIMEOUT, MOTION_TIMEOUT, SparingLog('bus', logger),
                              lambda: b'N%03d' % next(nonces), begun_anew=self._begun_anew,
-                             still_announces=lambda: self.board.asked_at is not None)
+                             still_announces=lambda: self.board.asked_at is not None,
+                             echoes=echoes)
         self._decoder = bus.ReplyDecoder()
         self._line: List[tuple] = []        # (time, number, bytes) on their way to the Master
         self._number = itertools.count()
@@ -201,8 +202,8 @@ class Model:
         function = bus.Function(kind, request.cmd2, request.cmd1, reply=layout,
                                 repeatable=kind not in UNREPEATABLE, interrupts=kind == 'stop',
                                 announced=kind == 'own')
-        call = Call(request, function, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, 3, self.now,
-                    kind in POLLS)
+        call = Call(request, function, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, 3 - number % 3,
+                    self.now, kind in POLLS)
         self.asked.append(ModelCall(call, kind, self.now, self.board.readings))
         self.master.submit(call)
         if kind == 'stop' and self._connected:

@@ -210,6 +210,31 @@ def test_a_board_that_is_silent_is_reported(line, logger, running, lines, monkey
     assert len(lines('does not answer SYNC')) == 1
 
 
+def no_echo(request):
+    return b'' if request.cmd1 == bus.ECHO else None
+
+
+def test_a_board_that_does_not_echo_is_an_error_that_names_the_parameter(board, open_link, lines):
+    board.rule = no_echo
+    link = open_link(SHORT, ready=False)
+    until(lambda: link.report(time.monotonic())[:2] == (
+        ERROR, 'the board does not answer ECHO (see bus/echo)'))
+    outcome = link.lift(0, 100)
+    assert outcome.status == NOT_SENT and 'bus/echo' in outcome.message
+    assert len(lines('set bus/echo to false')) == 1 and board.executed == []
+    board.rule = lambda request: None
+    until(lambda: link.master.in_step)
+    assert link.lift(0, 100).success
+
+
+def test_a_board_that_knows_no_echo_is_served_without(board, open_link):
+    board.rule = no_echo
+    link = open_link(PATIENT._replace(echo=False))
+    assert link.lift(0, 100).success and link.gimbal(0, 1).success and link.environment()[0].success
+    assert bus.ECHO not in [request.cmd1 for request in board.requests()]
+    assert link.report(time.monotonic())[:2] == (OK, 'ready')
+
+
 @pytest.mark.parametrize('condition, level, talks', [
     (Condition.READY, OK, True), (Condition.SYNCHRONISING, WARN, None),
     (Condition.OUT_OF_STEP, WARN, None), (Condition.NO_ECHO, ERROR, None),

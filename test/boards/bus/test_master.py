@@ -4,7 +4,7 @@ import logging
 import pytest
 
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.call import NOT_READY_WAIT, Call, CallState
+from serial_communication.boards.bus.call import NOT_READY_WAIT, Call
 from serial_communication.boards.bus.master import FENCE_AGE, FENCE_SILENCE, Master
 from serial_communication.boards.bus.session import (ECHO_TRIES, TRANSITIONS, Condition, Event,
                                                      Kind, SessionState)
@@ -59,7 +59,7 @@ class Session:
         in step, out of step           calls can be sent, or not; lost: the board needs a SYNC
     """
 
-    def __init__(self, caplog, motion_timeout=MOTION_TIMEOUT):
+    def __init__(self, caplog, motion_timeout=MOTION_TIMEOUT, echoes=True):
         caplog.set_level(logging.INFO)
         self._caplog = caplog
         self.now = 100.0
@@ -72,7 +72,8 @@ class Session:
         self.master = Master(REPLY_TIMEOUT, motion_timeout, SparingLog(
             'bus', logging.getLogger('session'), clock=lambda: self.now), self._nonce,
             drop_output=self.dropped.append, begun_anew=self._begin_anew,
-            still_announces=lambda: self.announces)
+            still_announces=lambda: self.announces, echoes=echoes)
+        self._echoes = echoes
 
     def _begin_anew(self, now):
         self.begun_anew.append(now)
@@ -116,14 +117,8 @@ class Session:
     def connect(self):
         """Connect to a board that answers SYNC, and the ECHO after it, at once."""
         self.master.connected(self.now)
-        self.play('> SYNC; < SYNC; fence')
+        self.play('> SYNC; < SYNC' + '; fence' * self._echoes)
         del self.begun_anew[:]
-        return self
-
-    def connect_without_echo(self):
-        """Connect to a board that answers SYNC but never an ECHO."""
-        self.master.connected(self.now)
-        self.play('> SYNC; < SYNC; ' + '> ECHO; +T;' * ECHO_TRIES + SYNC_AND_SILENCE)
         return self
 
     def outcome(self, name):
@@ -207,9 +202,7 @@ class Session:
             assert said in outcome.message and not outcome.success
 
 
-# They replace an ECHO.
-SYNC_AND_SILENCE = '> SYNC; < SYNC; out of step; > -; +T+-0.01; > -; +0.02; in step;'
-NO_ECHO = '+T; > ECHO;' * ECHO_TRIES + '+T; > SYNC;'     # after a request that had no reply
+NO_ECHO = '> ECHO; +T;' * ECHO_TRIES + '> SYNC;'
 LIFTS = 'call lift; send lift;'
 AIRS = 'call air; send air; < AIR;'
 MOVES = ('lift', 'gimbal', 'raw')
@@ -230,9 +223,9 @@ def session(fresh):
 
 
 @pytest.fixture
-def without_echo(fresh):
-    """A session that is connected and synchronised with a board that never echoes."""
-    return fresh.connect_without_echo()
+def without_echo(caplog):
+    """A session with bus/echo: false that is connected, synchronised and in step."""
+    return Session(caplog, echoes=False).connect()
 
 
 def table(*rows):
@@ -289,10 +282,14 @@ def table(*rows):
      'poll air; > air; call lift; +T; fence; > lift; < OK; lift is done; send air'),
     ('a repeated poll is sent before another one',
      'poll read; > read; poll other; +T; fence; > read; < OK:0102; send other'),
-    ('a repeatable request is sent again after INVALID "checksum", without an ECHO',
-     'call IT; send IT; < INVALID:40; > IT; < REPLY; IT is done', PROBES[1:]),
-    ('a reading is sent again after INVALID "checksum", behind an ECHO',
-     'call air; send air; < INVALID:40; fence; > air; < AIR; air is done'),
+    ('a repeatable request is sent again after INVALID "checksum"',
+     'call IT; send IT; < INVALID:40; fence; > IT; < REPLY; IT is done', PROBES),
+    ('what an INVALID ended is refused once an ECHO has returned',
+     'call IT 1; send IT; < INVALID:40; IT is waiting; fence; > -; IT is invalid;'
+     'call IT; send IT; < INVALID:20; IT is waiting; > ECHO; disconnected; IT is not known',
+     (*MOVES, *(name for name, _ in PROBES))),
+    ('a poll is sent again after INVALID "checksum"',
+     'poll air; > air; < INVALID:40; fence; > air; < AIR; air is done'),
     ('and after INVALID "not synchronised" and a SYNC',
      'call IT; send IT; < INVALID:10; > SYNC; < SYNC; fence; > IT; < REPLY; IT is done', PROBES),
     ('a repeatable call is sent again though an OK follows the INVALID',
@@ -375,18 +372,16 @@ def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, name, rep
      f'{LIFTS} +M+-1; call gimbal; +1; > ECHO; lift is not known;'
      '< OK SYNC ERROR:8002 AIR ECHO:no OK:6e303032; > -; out of step; < ECHO; > gimbal'),
     ('only ECHOs that are unanswered in a row make a SYNC necessary',
-     'noise; > ECHO; +T; fence; noise; > ECHO; +T; > ECHO; +T; > ECHO; +T; > SYNC'),
+     f'noise; > ECHO; +T; fence; noise; {NO_ECHO}'),
     ('an ECHO of an earlier nonce is dropped',
      'call raw; send raw; +T; > ECHO; +T; > ECHO; < -ECHO; out of step; > -; < ECHO; in step'),
     ('an ECHO that gets INVALID is sent again with a new nonce',
      'noise; > ECHO; < INVALID:40 INVALID:20; > -; +T; > ECHO; < -ECHO; > -; < ECHO; in step'),
     ('an ECHO to a board that is not synchronised is followed by SYNC and an ECHO',
      'noise; > ECHO; < INVALID:10; > SYNC; < SYNC; fence'),
-    ('SYNC and refused ECHOs do not alternate for ever',
-     'noise;' + '> ECHO; < INVALID:10; > SYNC; < SYNC;' * ECHO_TRIES + '> -; +T; in step'),
-    ('a board that answers every ECHO with INVALID is served in the end',
-     'noise; call lift;' + '> ECHO; < INVALID:20; +T;' * ECHO_TRIES
-     + '> SYNC; < SYNC; +T; > lift; < OK; lift is done'),
+    ('SYNC and refused ECHOs alternate not faster than ECHOs time out',
+     'noise;' + '> ECHO; < INVALID:10; > SYNC; < SYNC;' * ECHO_TRIES
+     + '> ECHO; < INVALID:10; > -; +T; > SYNC; < SYNC; fence'),
     ('INVALID "not synchronised" without a request leads to SYNC',
      '< INVALID:10; lost; call lift; > SYNC; < SYNC; fence; > lift; lift is waiting'),
     ('a reply without a request leads to an ECHO',
@@ -398,18 +393,13 @@ def test_a_refusal_is_reported_with_its_code_and_not_repeated(session, name, rep
     ('a reply after noise is taken',
      'call IT; send IT; noise; IT is waiting; < OK; IT is done; call custom; fence; > custom',
      MOVES),
-    ('a board that has echoed gets ECHO again after the silence',
-     'noise; fence; noise;' + '> ECHO; +T;' * ECHO_TRIES + SYNC_AND_SILENCE + 'noise; fence'),
-    ('a board that does not answer the SYNC instead of ECHO is not synchronised',
-     f'call raw; send raw; {NO_ECHO} +T; lost; > SYNC'),
-    ('no other reply is taken for the reply to the SYNC instead of ECHO',
-     f'call raw; send raw; {NO_ECHO} IT; out of step; > -; < SYNC; +T; in step',
+    ('ECHO is tried again after a SYNC, for ever',
+     f'noise; {NO_ECHO} < SYNC;' + '> ECHO; +T; > SYNC; < SYNC;' * 5 + 'call lift; fence; > lift'),
+    ('a board that answers neither ECHO nor SYNC is not synchronised',
+     f'noise; {NO_ECHO} +T; lost; > SYNC; < SYNC; fence'),
+    ('no other reply is taken for the reply to the SYNC after ECHOs',
+     f'noise; {NO_ECHO} IT; lost; > -; < SYNC; fence',
      ('< OK', '< INVALID:10', '< INVALID:40', 'noise', 'missed')),
-    ('a reply in the silence is dropped and begins it anew',
-     f'call raw; send raw; {NO_ECHO} < SYNC; call lift; +0.4; IT; +0.4; > -; out of step;'
-     'lift is waiting; +0.2; > lift', ('< OK', '< INVALID:40', '< INVALID:20', 'noise', 'missed')),
-    ('INVALID "not synchronised" ends the silence',
-     f'call raw; send raw; {NO_ECHO} < SYNC; < INVALID:10; lost; > SYNC'),
     ('after a stall nothing is sent before an ECHO returns',
      'missed; call air; fence; > air; < AIR; air is done'),
     ('calls that wait are not given up early while a reply may follow noise',
@@ -497,9 +487,6 @@ def test_a_bad_line_is_logged_sparingly(session):
      '> lift'),
     ('a fence to a reset board is followed by SYNC and a new fence',
      f'{AIRS} call lift; > ECHO; < INVALID:10; > SYNC; < SYNC; fence; > lift; < OK; lift is done'),
-    ('a board that stops to echo is served after a SYNC and a silence',
-     f'{AIRS} call lift;' + '> ECHO; +T;' * ECHO_TRIES + SYNC_AND_SILENCE
-     + '> lift; < OK; lift is done; call gimbal; > ECHO'),
 )
 def test_fences(session, script):
     session.play(script)
@@ -531,56 +518,66 @@ def test_before_a_move_a_fence_is_renewed_after_1_s(session, name):
     session.play(f'> ECHO; +0.8; +M; {name} is not sent')
 
 
-# -- rule 6: a board that never echoes -----------------------------------------------------------
+# -- rule 6: a board that does not echo ----------------------------------------------------------
+
+def test_after_three_unanswered_echoes_no_call_is_sent_until_one_returns(fresh):
+    """bus/echo is true: one line names it, and all calls get NOT_SENT."""
+    fresh.master.connected(fresh.now)
+    fresh.play('> SYNC; < SYNC; > ECHO; +T; > ECHO; +T; > ECHO')
+    assert fresh.master.condition() is Condition.OUT_OF_STEP and not fresh.warnings('bus/echo')
+    fresh.play('+T')
+    for _ in range(4):
+        assert fresh.master.condition() is Condition.NO_ECHO
+        for name in MOVES + ('air',):
+            fresh.call(name)
+        fresh.play('> SYNC; < SYNC; > ECHO; +T; > SYNC; < SYNC; > ECHO; +T; lift is not sent;'
+                   'gimbal is not sent; raw is not sent; air is not sent')
+    assert 'bus/echo' in fresh.outcome('lift').message
+    assert len(fresh.warnings()) == 1 and fresh.warnings('set bus/echo to false')
+    fresh.play('call lift; > SYNC; < SYNC; fence; > lift; < OK; lift is done')
+    assert fresh.master.condition() is Condition.READY
+
 
 @table(
-    ('a request is sent again after a SYNC and a silence',
-     f'call raw; > raw; < INVALID:40; {SYNC_AND_SILENCE} > raw; < OK; raw is done'),
-    ('an answered ECHO of a caller shows that the board knows ECHO',
-     'call echo; > echo; < ECHO:mine; echo is done; call lift; fence; > lift'),
+    ('a silence is the fence of each call',
+     '+0.021; call IT; > IT; < REPLY; call lift; > -; +0.019; > -; +0.002; > lift; < OK;'
+     'lift is done; call lift; > -; +0.021; > lift', PROBES[1:]),
     ('what needs no fence needs no silence', '+0.02;' + 'call IT; > IT; < REPLY;' * 3, PROBES[1:]),
-    ('the same poll needs no silence', '+0.02;' + 'poll air; > air; < AIR;' * 3),
+    ('the same poll needs no silence', '+0.021;' + 'poll air; > air; < AIR;' * 3),
     ('another reading waits for a silence',
-     '+0.02; call air; > air; < AIR; IT; > -; +0.021; > REPLY',
+     '+0.021; call air; > air; < AIR; IT; > -; +0.021; > REPLY',
      (('call air', 'air'), ('call read', 'read'), ('poll read', 'read'))),
     ('an OK with data that is not expected is not taken',
-     'call IT; > IT; < AIR; IT is waiting; out of step; +M; IT is not known',
+     '+0.021; call IT; > IT; < AIR; IT is waiting; out of step; +M; IT is not known',
      ('lift', 'gimbal', 'custom')),
+    ('the right reply may follow one with unexpected data',
+     '+0.021; call lift; > lift; < ECHO:late; < AIR; lift is waiting; < OK; lift is done'),
     ('the right reply may follow one of a wrong length',
-     'call air; > air; < AIR; +0.02; call two; > two; < OK; two is waiting; < OK:6162;'
-     'two is done'),
-    ('a stall restarts the silence',
-     'missed; > SYNC; < SYNC; +0.3; missed; +0.3; out of step; > -; +0.25; in step'),
+     '+0.021; call two; > two; < OK; two is waiting; < OK:6162; two is done'),
+    ('a SYNC and a silence are the way back in step',
+     '+0.021; IT; call lift; > SYNC; < OK; > -; < SYNC; in step; > -; +0.021; > lift',
+     ('call raw; > raw; +M', 'call raw; > raw; damaged', 'noise', '< OK', 'missed')),
+    ('a SYNC without an answer is repeated',
+     'noise; > SYNC; +T; lost; > SYNC; < SYNC; +0.021; call lift; > lift'),
+    ('after an INVALID a move is not known, and not sent again: no ECHO tells what it was for',
+     '+0.021; call IT; > IT; < REPLY; IT is not known; > SYNC; < SYNC; +0.021; > -',
+     [(name, reply) for name in MOVES for reply in ('INVALID:40', 'INVALID:20')]),
+    ('what is repeatable is sent again, and then not known',
+     '+0.021; call air;' + '> air; < INVALID:40; > SYNC; < SYNC; +0.021;' * 3 + 'air is not known'),
+    ('a stop is sent again after a SYNC and a silence',
+     '+0.021; call lift; > lift; call stop; > stop; lift is not known; > SYNC; +T; > stop; > SYNC;'
+     '< OK SYNC; > -; stop is waiting; +0.021; > stop; < OK; stop is done'),
 )
 def test_without_echo(without_echo, script):
     without_echo.play(script)
 
 
-def test_a_sync_and_a_silence_replace_the_echo_with_one_warning(fresh):
-    fresh.connect_without_echo()
-    for _ in range(4):
-        fresh.play(f'call raw; +0.02; > raw; +T; call lift; {SYNC_AND_SILENCE} > lift; < OK;'
-                   'lift is done')
-    assert len(fresh.warnings('does not answer ECHO')) == 1
-
-
-def test_after_a_reconnect_the_board_may_be_one_that_never_echoes(session):
-    session.play('disconnected')
-    session.connect_without_echo().play('call lift; > lift; < OK; call gimbal; > -; +0.021;'
-                                        '> gimbal')
-
-
-def test_after_a_reconnect_the_board_may_be_one_that_echoes(without_echo):
-    without_echo.play('disconnected; connected; call lift; > lift')
-
-
 @pytest.mark.parametrize('name', MOVES)
 def test_without_echo_a_move_waits_for_a_silence_since_the_last_byte(without_echo, name):
     session = without_echo
-    session.play('call air; > air; +0.1; < AIR')
+    session.play('+0.021; call air; > air; +0.1; < AIR')
     session.call(name)
     assert session.master.step(session.now) == (None, pytest.approx(session.now + FENCE_SILENCE))
-    session.play(f'+0.019; > -; +0.002; > {name}; < OK; {name} is done')
 
 
 # -- rule 5: data in an OK ------------------------------------------------------------------------
@@ -593,7 +590,7 @@ def test_an_ok_with_unexpected_data_is_taken_behind_a_fence(session, name, reply
 
 
 def test_a_timeout_says_which_other_reply_was_received(without_echo):
-    without_echo.play('call lift; > lift; < AIR; +M; lift is not known')
+    without_echo.play('+0.021; call lift; > lift; < AIR; +M; lift is not known')
     assert f'{AIR_REPLY}' in without_echo.outcome('lift').message
     assert without_echo.warnings('no reply to "lift up 100 mm" within 5 s but OK')
 
@@ -687,8 +684,7 @@ def test_only_the_first_outcome_counts():
     first, second = (Outcome(status, '') for status in (NOT_SENT, bus.OK))
     call.finish(first)
     call.finish(second)
-    call.try_ended(CallState.WAITING, second)
-    assert call.wait(0.0) is first and call.state is CallState.DONE
+    assert call.wait(0.0) is first
     assert not call.claim() and not call.claim_at_once()
 
 
@@ -745,7 +741,8 @@ def test_at_the_closing_every_call_is_told_so(session):
 
 def test_the_condition_says_why_calls_are_not_served(fresh):
     for script, condition in (('', Condition.SYNCHRONISING), ('connected', Condition.READY),
-                              ('noise', Condition.OUT_OF_STEP), ('> ECHO; +T', Condition.NO_ECHO),
+                              ('noise', Condition.OUT_OF_STEP), (NO_ECHO, Condition.NO_ECHO),
+                              ('+T', Condition.NO_SYNC), ('> SYNC; < SYNC', Condition.NO_ECHO),
                               ('fence', Condition.READY)):
         fresh.play(script)
         assert fresh.master.condition() is condition
@@ -776,9 +773,9 @@ def test_the_condition_says_why_calls_are_not_served(fresh):
      '< -ECHO OK; stop is waiting; > -; < ECHO; > stop; < OK; stop is done'),
     ('an ECHO that a stop ends does not count as unanswered',
      LIFTS + 'call stop; > stop; > ECHO;' * (ECHO_TRIES + 1)),
-    ('a stop ends a SYNC instead of ECHO, and a silence',
-     f'call raw; send raw; {NO_ECHO} call stop; > stop; out of step; > SYNC; < SYNC; call stop;'
-     '> stop; out of step; > SYNC'),
+    ('a stop is sent to a board that does not answer ECHO, and again with each ECHO and SYNC',
+     f'noise; {NO_ECHO} call stop; > stop; lost; > SYNC; < SYNC; > ECHO; +T; > stop; > SYNC; +T;'
+     '> stop; > SYNC; < SYNC; fence; > stop; < OK; stop is done'),
     ('a stop is sent while a move with an unknown outcome may last',
      f'{LIFTS} +M; > ECHO; call stop; > stop'),
     ('a stop that timed out is sent again before later calls',
@@ -830,12 +827,6 @@ def test_a_reading_is_asked_for_again_after_noise_and_an_invalid(session):
                  'air is done')
 
 
-def test_without_echo_an_invalid_after_an_ok_with_data_makes_the_outcome_unknown(without_echo):
-    without_echo.play('call lift; +0.03; > lift; < OK:00; < INVALID:40; lift is not known;'
-                      + SYNC_AND_SILENCE + 'call air; > air; < AIR; call two; +0.03; > two;'
-                      '< OK; < INVALID:40; two is not known')
-
-
 def test_a_repeatable_call_is_not_told_as_refused_after_an_ok(session, monkeypatch):
     monkeypatch.setitem(FUNCTIONS, 'own', FUNCTIONS['own']._replace(repeatable=True))
     session.announces = True
@@ -860,16 +851,6 @@ def test_what_may_have_been_executed_before_is_not_told_as_refused(session, scri
 def test_a_reply_behind_the_confirming_echo_needs_another_echo(session):
     session.play(f'{LIFTS} < INVALID:40; > ECHO; < ECHO OK; lift is not known; call gimbal; fence;'
                  '> gimbal')
-
-
-def test_an_ok_after_an_invalid_begins_the_silence_anew(without_echo):
-    without_echo.play('call lift; +0.03; > lift; < INVALID:40; > SYNC; < SYNC; > -; +0.47; < OK;'
-                      'lift is not known; call gimbal; +0.47; > -; +0.04; > gimbal')
-
-
-def test_a_call_without_a_fence_takes_no_ok_with_data_though_an_echo_follows(without_echo):
-    without_echo.play('call air; > air; < AIR; call lift; +0.021; > lift; < ECHO:late; < AIR;'
-                      'lift is waiting; < OK; lift is done')
 
 
 def test_a_stop_is_sent_again_if_the_port_did_not_take_the_echo_behind_it(session):
@@ -960,7 +941,7 @@ def test_what_waits_is_not_sent_to_a_board_that_begins_anew(session, before, rep
 
 def test_an_announced_stop_is_not_sent_to_a_board_that_begins_anew(session):
     session.announces = True
-    session.play(f'{LIFTS} < INVALID:10; call ownstop; > -; ownstop is not sent; > SYNC')
+    session.play(f'{LIFTS} < INVALID:10; call ownstop; > SYNC; ownstop is not sent')
 
 
 # -- the table -------------------------------------------------------------------------------------

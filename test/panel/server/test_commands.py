@@ -37,7 +37,7 @@ class Panel:
     def drive(self, reached):
         """Take a command of a page while the bridge subscribes to these."""
         for publisher in self.speed, self.steering:
-            publisher.get_num_connections.return_value = int(publisher in reached)
+            publisher.impl.has_connection.return_value = publisher in reached
         with mock.patch.object(rospy.Time, 'now', rospy.Time):
             self.commands.drive(PAGE, 1, time.monotonic(), SPEED_LIMIT, 1500)
 
@@ -98,7 +98,8 @@ def speeds(panel):
 
 def test_stop_ends_a_hold_and_calls_the_bridge(panel):
     panel.drive([panel.speed, panel.steering])
-    assert press_stop(panel, lambda: Answer(Verdict.DONE, 'stopped', DONE)) == [f'{NODE}/stop', True]
+    called = press_stop(panel, lambda: Answer(Verdict.DONE, 'stopped', DONE))
+    assert called == [f'{NODE}/stop', True]
     until(lambda: panel.calls['1'].get('outcome') == 'done', 'it is answered')
     after, fall_back, stop = panel.later[-1]
     fall_back(stop)

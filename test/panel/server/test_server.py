@@ -2,33 +2,23 @@
 import contextlib
 import json
 import os
-import pty
 import re
-import resource
 import signal
 import socket
 import subprocess
 import threading
 import time
-import types
 from itertools import count
 
 import pytest
-import qrcode
-import rosgraph
 import rospy
 from boards import PACKAGE, PATIENCE, again_if_stalled, program, settle, until
-from panel_helpers import (KEPT_BACK, NODE, TOKEN, Page, Panel, post, publishers_and_subscribers,
-                           request, subscribed, suspended)
+from panel_helpers import (KEPT_BACK, NODE, TOKEN, Page, Panel, publishers_and_subscribers,
+                           subscribed, suspended)
 
-from std_msgs.msg import Float32
-
-from serial_communication.boards.arduino import settings as read_settings
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.msg import SpeedPWMCommand
-from serial_communication.tools.panel import commands
-from serial_communication.tools.panel.dead_man import CommandRefused
 
 MASK = bytes(4)      # of a WebSocket frame
 TOPICS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
@@ -77,38 +67,6 @@ def run(*arguments, environment=None):
                                **(environment or {})})
 
 
-def test_help_names_every_option():
-    done = run('--help')
-    assert done.returncode == 0 and done.stdout.startswith('usage: panel') and not done.stderr
-    for word in ('--port', '--bind', '--control', '--token', '--node'):
-        assert word in done.stdout
-
-
-@pytest.mark.parametrize('arguments, words', [
-    (['--port', '99999'], "'99999' is not a port (0 … 65535)"),
-    (['--port', 'x'], "'x' is not a port"), (['--fast'], 'unrecognized arguments: --fast'),
-    (['--token', 'short'], 'invalid token of 5 characters: it must have 12 … 200 of A-Z'),
-    (['--token', 'with a space in it'], 'invalid token of 18 characters')])
-def test_a_wrong_argument_ends_with_status_2_and_a_message(arguments, words):
-    done = run(*arguments)
-    assert done.returncode == 2 and words in done.stderr and not done.stdout
-
-
-@pytest.fixture
-def no_tornado(tmp_path):
-    """The environment of a machine without tornado."""
-    (tmp_path / 'tornado.py').write_text(
-        "raise ModuleNotFoundError('No module named tornado', name='tornado')")
-    return {'PYTHONPATH': f'{tmp_path}:{os.environ["PYTHONPATH"]}'}
-
-
-def test_without_tornado_one_line_names_the_package_and_help_works(no_tornado):
-    done = run(environment=no_tornado)
-    assert (done.returncode, done.stdout, done.stderr) == (
-        1, '', 'panel: the page needs tornado; install it: sudo apt-get install python3-tornado\n')
-    assert run('--help', environment=no_tornado).stdout.startswith('usage: panel')
-
-
 @pytest.mark.usefixtures('two_pages')       # so that their 5 s begin
 def test_a_port_in_use_ends_with_one_line_that_names_its_holder_and_a_free_port(panel):
     done = run('--port', str(panel.port))
@@ -119,86 +77,11 @@ def test_a_port_in_use_ends_with_one_line_that_names_its_holder_and_a_free_port(
     assert int(found.group(3)) > panel.port
 
 
-def test_panels_without_options_that_start_together_take_different_ports_and_names(robot):
-    panels = []
-    threads = [threading.Thread(target=lambda: panels.append(Panel(port=None, name=None)))
-               for _ in range(3)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    until(lambda: all(is_registered(name) for name in ('/panel', '/panel_2', '/panel_3'))
-          or not all(panel.alive for panel in panels), 'all are registered')
-    first, *others = sorted(panels, key=lambda panel: panel.port)
-    assert first.port >= 8080
-    # Another program may have had the port before.
-    holder = f'panel (pid {first.process.pid}); the next' if first.port == 8080 else ''
-    for panel in others:
-        panel.wait_for(f'port 8080 is taken by {holder}')
-    for panel in panels:
-        with panel, Page(panel, watch=TOPICS) as page:
-            page.until(lambda page: '~imu' in page.samples, 'it shows the bridge')
-
-
-def test_on_a_terminal_an_address_for_the_network_is_a_qr_code_as_well():
-    """Tells dark from light as a camera does, on a terminal with a dark background."""
-    near, far = pty.openpty()
-    panel = subprocess.Popen([program('panel'), '--port', '0', '--bind', '0.0.0.0',
-                              '__name:=panel_qr'], stdin=far, stdout=far, stderr=far,
-                             env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1'})
-    os.close(far)
-    shown = bytearray()
-    try:
-        def is_complete():
-            shown.extend(os.read(near, 65536))
-            return b'waiting for the ROS master' in shown
-        until(is_complete, 'it prints')
-        text = shown.decode().replace('\r', '').split('panel: waiting')[0]
-        address, _, code = text.partition('\n')
-        url = re.fullmatch(r'panel: (http://[^/:]+:\d+/#\S+)', address).group(1)
-        rows = [[cell in dark for cell in line] for line in code.rstrip('\n').split('\n')
-                for dark in (' \N{NO-BREAK SPACE}\N{LOWER HALF BLOCK}',
-                             ' \N{NO-BREAK SPACE}\N{UPPER HALF BLOCK}')]
-        wanted = qrcode.QRCode(border=2)
-        wanted.add_data(url)
-        assert rows[:len(wanted.get_matrix())] == wanted.get_matrix()
-        # Also without --control, everybody else on the network is refused.
-        port = int(re.search(r':(\d+)/', url).group(1))
-        assert request(port, '/key', None, {})[0] == 401
-    finally:
-        panel.terminate()
-        panel.wait(PATIENCE)
-        os.close(near)
-
-
 def test_without_a_master_the_panel_serves_pages_that_say_so():
     with Panel(environment={'ROS_MASTER_URI': 'http://127.0.0.1:1'}) as panel, Page(panel) as page:
         panel.wait_for('panel: waiting for the ROS master at http://127.0.0.1:1; start one with')
         page.until(lambda page: 'no answer from the ROS master' in page.known.get('trouble', ''),
                    'the page shows it')
-
-
-_NAME_TAKEN = '''
-import sys, rospy
-from serial_communication.tools.panel import cli
-begin = rospy.init_node
-def init_node(*arguments, **keywords):
-    %s
-rospy.init_node = init_node
-sys.exit(cli.main(['--port', '0']))
-'''
-
-
-@pytest.mark.usefixtures('robot')
-@pytest.mark.parametrize('meanwhile', [
-    "raise rospy.ROSInitException('init_node interrupted before it could complete')",
-    'begin(*arguments, **keywords); rospy.core._in_shutdown = True'    # its hooks have run
-], ids=['before', 'after'])
-def test_a_name_taken_during_registration_ends_the_panel(meanwhile):
-    done = subprocess.run(['/usr/bin/python3', '-c', _NAME_TAKEN % meanwhile], text=True,
-                          timeout=PATIENCE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert done.returncode == 1, done.stderr
-    assert done.stderr.count('ROS has ended this node') == 1 and 'Traceback' not in done.stderr
 
 
 def test_a_second_panel_of_the_same_name_ends_and_the_first_continues(panel):
@@ -209,22 +92,6 @@ def test_a_second_panel_of_the_same_name_ends_and_the_first_continues(panel):
     assert 'Traceback' not in second.output()
     with Page(panel, watch=TOPICS) as page:
         page.until(lambda page: '~imu' in page.samples, 'the first continues')
-
-
-def test_a_name_taken_later_ends_the_panel(robot):
-    panel = Panel(name='panel_taken')
-    until(lambda: is_registered('/panel_taken'), 'it is registered')
-    rosgraph.Master('/panel_taken').registerSubscriber(
-        '/chatter', 'std_msgs/String', 'http://localhost:1/')
-    assert panel.process.wait(PATIENCE) == 1
-    panel.wait_for('panel: ROS has ended this node')
-
-
-def is_registered(name):
-    try:
-        return rosgraph.Master('/panel_test').lookupNode(name)
-    except rosgraph.MasterError:
-        return False
 
 
 # -- access -----------------------------------------------------------------------------------
@@ -296,11 +163,6 @@ def printed(panel, number):
     return found if len(found) >= number else None
 
 
-def test_a_token_from_a_file_is_on_no_command_line(control_panel):
-    with open(f'/proc/{control_panel.process.pid}/cmdline') as command_line:
-        assert TOKEN not in command_line.read()
-
-
 def test_on_loopback_a_name_of_this_machine_is_refused(panel, control_panel):
     """A proxy or a tunnel that others reach is behind it."""
     for each in panel, control_panel:
@@ -326,104 +188,6 @@ def test_a_page_that_sends_too_often_or_invalid_messages_is_dropped(panel):
     page = Page(panel)
     page.write(json.dumps({'watch': ['x' * 40000]}).encode())
     until(lambda: page.closed, 'a message that is too long closes the connection')
-
-
-def test_a_page_may_watch_the_topics_of_hundreds_of_custom_messages(panel):
-    names = [f'~a_custom_message_with_a_long_name_{number}' for number in range(500)]
-    with Page(panel, watch=[*names, *TOPICS]) as page:
-        page.until(lambda page: '~imu' in page.samples, 'updates are received')
-        assert not page.closed
-
-
-@pytest.fixture
-def other_page(panel):
-    """A page that must continue whatever another one does."""
-    with Page(panel, watch=TOPICS) as page:
-        page.until(lambda page: '~imu' in page.samples, 'updates are received')
-        yield page
-        continues(page)
-
-
-def continues(page):
-    """Check that a page still receives updates."""
-    seen = page.now
-    page.until(lambda page: page.now > seen + 0.5, 'updates are received')
-    assert not page.closed
-
-
-@pytest.mark.parametrize('frame, reads', [
-    (b'\x89\x80' + MASK, True), (b'\x89\xfd' + MASK + bytes(125), False),
-    (b'\x8a\x80' + MASK, True), (b'\x00\x80' + MASK, True)],
-    ids=['pings', 'long pings, reads nothing', 'pongs', 'fragments'])
-def test_a_page_that_floods_with_other_frames_is_dropped(panel, other_page, frame, reads):
-    page = Page(panel, reads=reads)
-    if frame[0] == 0:
-        page.send_raw(b'\x01\x80' + MASK)         # a message begins
-    ended = threading.Event()
-
-    def flood():
-        while not ended.is_set():
-            page.send_raw(frame * 1000)
-    seen = other_page.now
-    thread = threading.Thread(target=flood, daemon=True)
-    thread.start()
-    try:
-        other_page.until(lambda page: page.now > seen + 1, 'others receive updates')
-        if reads:
-            until(lambda: page.closed, 'it is dropped')
-            assert 'more than 120 frames' in page.closed or page.closed == 'gone'
-    finally:
-        ended.set()
-        page.close()
-        thread.join()
-
-
-def test_a_ping_is_answered(page):
-    page.write(b'x', 0x89)
-    page.until(lambda page: page.pongs, 'the answer is received')
-
-
-_SMALL_BUFFERS = '''
-import socket
-listen = socket.socket.listen
-def listen_with_small_buffers(self, *arguments):
-    self.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)      # its connections inherit it
-    listen(self, *arguments)
-socket.socket.listen = listen_with_small_buffers
-'''
-
-
-def test_a_page_that_reads_nothing_is_dropped_whatever_it_acknowledges(robot, tmp_path):
-    """With the system's own buffers that would take half a minute."""
-    (tmp_path / 'sitecustomize.py').write_text(_SMALL_BUFFERS)
-    with Panel(name='panel_unread', environment={
-            'PYTHONPATH': f'{tmp_path}:{os.environ["PYTHONPATH"]}'}) as panel, \
-            Page(panel, watch=TOPICS, reads=False) as page:
-        until(lambda: 'dropped a page at 127.0.0.1: it does not read' in panel.output(),
-              'it is dropped', seconds=60, doing=lambda: page.send(seen=1e18), every=0.1)
-
-
-def test_idle_connections_do_not_keep_other_pages_out(robot):
-    with Panel(name='panel_crowded') as panel:
-        before = Page(panel, watch=TOPICS)
-        before.until(lambda page: '~imu' in page.samples, 'numbers are received')
-        resource.prlimit(panel.process.pid, resource.RLIMIT_NOFILE, (160, 160))
-        idle = [socket.create_connection(('127.0.0.1', panel.port)) for _ in range(300)]
-        later = Page(panel, watch=TOPICS)
-        later.until(lambda page: '~imu' in page.samples, 'another page is served')
-        assert panel.get('/app.js')[0] == 200
-        continues(before)
-        for each in idle:
-            each.close()
-    assert 'Too many open files' not in panel.output()
-
-
-def test_dropped_pages_that_stay_connected_do_not_keep_others_out(panel, other_page):
-    with contextlib.ExitStack() as stack:
-        for _ in range(80):
-            stack.enter_context(Page(panel, reads=False)).write(b'{')
-        later = stack.enter_context(Page(panel, watch=TOPICS))
-        later.until(lambda page: '~imu' in page.samples, 'another page is served')
 
 
 def test_a_slow_page_is_dropped_and_the_others_are_not(panel, two_pages):
@@ -637,45 +401,6 @@ def test_invalid_calls_are_refused(driver, robot):
     assert all(update['now'] == round(update['now'], 4) for update in list(driver.updates))
 
 
-@pytest.mark.parametrize('number', [1e39, 10 ** 400])
-def test_a_number_that_its_type_cannot_hold_is_refused(number):
-    """Whether a page whose call is refused disturbs others: test_invalid_calls_are_refused."""
-    takes_number = types.SimpleNamespace(_request_class=Float32)
-    with pytest.raises(CommandRefused, match='~set: '):
-        commands._request('~set', commands.Service(takes_number, 'bus', []), {'data': number})
-
-
-@pytest.mark.parametrize('arguments', [
-    {}, {'value': 11}, {'value': float('nan')}, {'value': 'fast'}, {'value': [1.0]}])
-def test_a_value_that_a_setting_may_not_have_is_refused(arguments):
-    kp, = read_settings({'kp': {'setting': 1, 'layout': '<f', 'maximum': 10}})
-    with pytest.raises(CommandRefused, match='~kp may be a number to 10'):
-        commands._request('~kp', commands.Service(None, 'arduino', [], setting=kp), arguments)
-
-
-def test_what_a_message_cannot_carry_is_refused_and_so_is_a_second_one_at_once(driver):
-    """Whether the others reach the board: test_browser.py."""
-    def gripper(key, y):
-        driver.send(send={'key': key, 'name': '~gripper', 'values': {'x': -2.5, 'y': y, 'z': 3}})
-
-    def sent_twice():
-        once, twice = (f'{word} {next(_KEYS)}' for word in ('once', 'twice'))
-        gripper(once, 50)
-        gripper(twice, 50)
-        driver.until(lambda page: twice in page.refusals or twice in page.calls, 'the second')
-        wait(0.6)
-        return driver.calls.get(once, {}).get('outcome') == 'sent' \
-            and driver.refusals.get(twice) == '~gripper: one call at a time; wait for the answer'
-    driver.until(lambda page: '~gripper' in page.known.get('controls', {}).get('messages', ()),
-                 'it is offered')
-    again_if_stalled(sent_twice)
-    wrong, long = why_refused(
-        driver, lambda key: gripper(key, 50.1),
-        lambda key: driver.send(led={'key': key, 'text': 'x' * 31}))
-    assert wrong == 'gripper: y is 50.1, out of range (0 \u2026 50)'
-    assert long.startswith('the LED takes at most 30 ASCII characters')
-
-
 def wait(seconds):
     began = time.monotonic()
     until(lambda: time.monotonic() - began > seconds, 'the time has passed')
@@ -767,14 +492,6 @@ def test_a_panel_that_was_suspended_does_not_continue_to_drive(driver, control_p
     assert 170 not in robot.car.speeds
 
 
-def test_old_commands_do_not_drive(driver, robot):
-    old = driver.now
-    driver.until(lambda page: page.now > old + 1, 'a second passes')
-    drive(driver, 1, seen=old)
-    driver.until(is_refused('too slow'), 'it is refused')
-    assert not any(robot.car.speeds)
-
-
 def test_the_car_stops_when_the_panel_ends(robot):
     with Panel('--control', '--token', TOKEN, name='panel_third') as panel:
         page = Page(panel, TOKEN).settle()
@@ -844,168 +561,6 @@ def test_a_stop_that_the_bridge_does_not_answer_sends_speed_0(driver, robot):
 
 
 # -- a master, a bridge or a panel that hangs -------------------------------------------------
-
-
-def test_pages_and_driving_continue_while_the_master_hangs(driver, control_panel, robot, core):
-    with Page(control_panel, TOKEN) as other:
-        other.until(lambda page: 'node' in page.known, 'the other page receives updates')
-        drive_until(driver, drives(robot), 'the car drives')
-        with core.hung():
-            other.send(watch=TOPICS + ['serial_msg'])
-            wait(0.5)
-            continues(other)
-            robot.car.forget()
-            hold = drive_until(driver, drives(robot), 'the car drives while the master hangs')
-            driver.send(release={'hold': hold})
-            until(has_stopped(robot), 'the car stops')
-            robot.car.forget()
-            drive_until(driver, drives(robot), 'the car drives again')
-            until(has_stopped(robot), 'the car stops without commands of the page')
-        other.until(lambda page: page.known.get('wire', {}).get('frames'), 'frames are received')
-
-
-def test_publishers_exist_only_while_a_page_is_open(control_panel, robot, core):
-    with Page(control_panel, TOKEN) as page:
-        until(lambda: publishes(control_panel), 'the panel publishes')
-        with core.hung():
-            page.close()
-            wait(2)
-            page = Page(control_panel, TOKEN)
-            page.until(lambda page: 'node' in page.known, 'the page receives updates')
-        robot.car.forget()
-        drive_until(page, drives(robot), 'the car drives')
-        page.close()
-        until(lambda: not publishes(control_panel), 'the panel publishes no more')
-
-
-def nothing(_panel):
-    pass
-
-
-def show_wire(panel):
-    """Let the panel subscribe to serial_msg."""
-    Page(panel, TOKEN, watch=['serial_msg'])
-    wait(0.3)
-
-
-def look_up(panel):
-    """Let the panel look up a service."""
-    page = Page(panel, TOKEN).settle()
-    lift(page, 'key')
-    page.until(lambda page: 'key' in page.calls or 'key' in page.refusals,
-               'the call is under way, or a stall of this machine made it too old')
-
-
-@pytest.mark.parametrize('number, action', [
-    (signal.SIGINT, nothing), (signal.SIGINT, show_wire), (signal.SIGTERM, look_up)])
-def test_a_signal_ends_the_panel_while_the_master_hangs(robot, core, number, action):
-    with Panel('--control', '--token', TOKEN, name='panel_hung') as panel:
-        page = Page(panel, TOKEN)
-        page.until(lambda page: page.known.get('trouble') == '', 'it is registered and subscribes')
-        with core.hung():
-            action(panel)
-            assert panel.end(number) == 0
-
-
-def test_a_signal_ends_a_panel_that_starts_while_the_master_hangs(core):
-    with core.hung(), Panel(name='panel_hung'):
-        pass
-
-
-class PipedPanel:
-    """A panel that prints into a pipe. As a context it has to end well with its block."""
-
-    def __init__(self, *arguments):
-        self._reads, self._writes = os.pipe()
-        self._process = subprocess.Popen(
-            [program('panel'), '--port', '0', *arguments, '__name:=panel_piped'],
-            stdout=self._writes, stderr=self._writes)
-        self.port, self.token = self.read_address()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, kind, *_):
-        try:
-            self._process.send_signal(signal.SIGINT)
-            assert self._process.wait(PATIENCE) == 0 or kind
-        finally:
-            self._process.kill()
-            for each in self._reads, self._writes:
-                with contextlib.suppress(OSError):      # closed by `close_pipe`
-                    os.close(each)
-
-    def read_address(self):
-        """Read until an address has been printed; return its port and its token."""
-        found = until(lambda: re.search(rb'http://[^/]+:([0-9]+)/#?(\S*)',
-                                        os.read(self._reads, 1000)), 'it prints an address')
-        return int(found.group(1)), found.group(2).decode()
-
-    def exchange(self, token):
-        """Exchange a token for a key; return status, headers and text."""
-        return post(self.port, '/key', token.encode())
-
-    def fill_pipe(self):
-        """Nothing more can be printed from now on."""
-        os.set_blocking(self._writes, False)
-        for size in 1000, 1:
-            with contextlib.suppress(BlockingIOError):
-                while True:
-                    os.write(self._writes, bytes(size))
-        os.set_blocking(self._writes, True)     # the panel's output shares this setting
-
-    def close_pipe(self):
-        """Printing fails from now on."""
-        os.close(self._writes)
-        os.close(self._reads)
-
-
-def test_a_terminal_that_reads_nothing_does_not_delay_pages(robot):
-    with PipedPanel() as panel:
-        page = Page(panel)
-        page.until(lambda page: page.known.get('trouble') == '', 'it is a node and logs')
-        panel.fill_pipe()
-        assert Page(panel, origin='http://evil.example').status == 403     # is logged
-        continues(page)
-
-
-@pytest.mark.parametrize('end', [PipedPanel.fill_pipe, PipedPanel.close_pipe])
-def test_a_token_is_exchanged_also_if_the_next_one_cannot_be_printed(robot, end):
-    with PipedPanel('--control') as panel:
-        page = Page(panel, panel.token)
-        page.until(lambda page: 'node' in page.known, 'it receives updates')
-        _port, token = panel.read_address()
-        end(panel)
-        assert panel.exchange(token)[0] == 200
-        continues(page)
-        assert panel.exchange(token)[0] == 401
-
-
-@pytest.mark.parametrize('by', ['master', 'bridge'])
-def test_a_call_delayed_by_the_master_or_the_bridge_moves_nothing(driver, robot, core, by):
-    def delayed():
-        key = f'delayed by the {by} {next(_KEYS)}'
-        wait(0.6)       # or a second try may be a double click
-        with core.hung() if by == 'master' else suspended(robot.bridge.process.pid):
-            lift(driver, key)
-            driver.until(lambda page: key in page.calls or key in page.refusals,
-                         'the call is under way')
-            if key in driver.refusals:
-                return False        # this machine stalled
-            if by == 'bridge':
-                assert 'the bridge does not answer' in wait_for_answer(driver, key)['words']
-            else:
-                wait(2.5)
-            waits = not driver.calls[key].get('outcome')
-        answer = wait_for_answer(driver, key)
-        assert answer['outcome'] == 'refused' and 'nothing was sent' in answer['words']
-        return waits or by == 'bridge'      # the panel waits 3 s for the master
-    again_if_stalled(delayed)
-
-    def moved():        # unless a stall dropped the request or the reply
-        return driver.call('~lift', direction=0, distance=17)['outcome'] == 'done'
-    again_if_stalled(moved)
-    assert {request.data for request in robot.lift_requests} == {bytes((0, 17))}
 
 
 def test_a_call_delayed_by_the_panel_moves_nothing(driver, control_panel, robot):

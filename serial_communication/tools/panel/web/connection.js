@@ -3,8 +3,8 @@
  * keeps the panel's clock, `now`, which continues while no update is received: therefore the ages
  * shown are correct even if the network delays updates.
  *
- * The token in the address that the panel prints is exchanged for a key, once. The key stays in this
- * browser's storage for this host and port; a cookie would be sent to every port of the host.
+ * The token in the address that the panel prints stays in this browser's storage for this host and
+ * port; a cookie would be sent to every port of the host.
  */
 const PROTOCOL = 'panel';
 const KEY = 'key';         // its name in the storage
@@ -24,7 +24,7 @@ export class Connection extends EventTarget {
     this._offset = Infinity;   // this clock minus the panel's, with the network's shortest delay
     this._receivedAt = -Infinity;
     this._retry = RETRY[0];
-    this._nextTry = Infinity;  // until the token in the address has been exchanged
+    this._nextTry = Infinity;  // until the token in the address has been checked
     this._hiddenAt = null;
     this._refusal = '';        // why the token in the address was refused
     this._watch = [];
@@ -56,7 +56,7 @@ export class Connection extends EventTarget {
     this.send({watch: this._watch});
   }
 
-  /** Connect; first exchange the token in the address, if there is one, for a key. */
+  /** Connect; first have the token in the address checked, if there is one, and keep it. */
   async _enter() {
     const token = location.hash.slice(1);
     if (token) {
@@ -66,7 +66,7 @@ export class Connection extends EventTarget {
         const words = await answer.text();
         if (answer.ok) localStorage.setItem(KEY, words);
         this._refusal = answer.ok ? '' : words;
-      } catch { /* not reached: the key of an earlier token may do */ }
+      } catch { /* not reached: the token of an earlier address may do */ }
     }
     if (!this._socket) this._open();
   }

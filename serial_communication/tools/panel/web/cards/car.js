@@ -34,7 +34,7 @@ export class Attitude {
     this._note.hidden = !calibrating && !stale;
     updateText(this._note, calibrating ? 'the IMU is being calibrated' : 'the attitude is stale');
     drawCar(this._canvas, {roll: radians(roll), pitch: radians(pitch), yaw: radians(yaw)},
-      (steering - MIDDLE) / TURN * WHEEL_ANGLE);
+      (MIDDLE - steering) / TURN * WHEEL_ANGLE);
     updateAttribute(this._canvas, 'aria-label', `attitude of the car: roll ${roll.toFixed(0)}, pitch `
       + `${pitch.toFixed(0)}, yaw ${yaw.toFixed(0)} degrees`);
   }

@@ -14,7 +14,6 @@ import {STOPPED, whyNot} from '../reasons.js';
 const TOPICS = '~speed, ~steering';
 const IDLE = 'hold to drive';
 const EVERY = 50;           // ms between two commands
-const DOUBLE_CLICK = 500;   // ms from a press of the pad to the next, which is not meant to drive
 const SILENCE = 0.3;        // s without an update from the panel, after which the hold ends
 const PANEL_SILENT = `stopped: no update from the panel for ${SILENCE} s`;
 const MIDDLE = 1500;        // µs, the servo straight ahead
@@ -34,7 +33,6 @@ export class Drive {
     this._connection = connection;
     this._hold = 0;             // number of presses
     this._timer = null;         // while held
-    this._pressedAt = -Infinity;    // the latest press of the pad, ms
     this._pointer = null;       // id of the pointer that pressed it
     this._keys = new Set();     // codes of the keys that are held
     this._repeats = false;      // whether this system is known to repeat keys
@@ -80,14 +78,8 @@ export class Drive {
       if (event.button !== 0) return;
       event.preventDefault();
       pad.focus();
-      const isDouble = event.timeStamp - this._pressedAt < DOUBLE_CLICK;
-      this._pressedAt = event.timeStamp;
       if (this.held) {
         this._end('stopped: pressed while a key was held');
-        return;
-      }
-      if (isDouble) {
-        updateText(this._words, 'not driven: a double click; press once, and hold');
         return;
       }
       this._pointer = event.pointerId;
