@@ -1,6 +1,5 @@
 """The page in a browser: its display, its commands, and outages of bridge, master and panel."""
 import contextlib
-import math
 import os
 import re
 import shutil
