@@ -13,8 +13,7 @@ const run = (Drive, steps) => {
   const act = {
     wait: (ms) => pass(Number(ms)),
     pointer: (what, pointerId = 1, clientX = 1) => {
-      const event = new PointerEvent(`pointer${what}`, {button: 0, pointerId, clientX, clientY: 0});
-      pad.dispatchEvent(Object.defineProperty(event, 'timeStamp', {value: now}));
+      pad.dispatchEvent(new PointerEvent(`pointer${what}`, {button: 0, pointerId, clientX, clientY: 0}));
     },
     key: (what, key) => {
       const [code, modifier] = key.split('+').reverse();

@@ -115,7 +115,9 @@ class Robot:
             'arduino/messages': {'gripper': {
                 'type': 40, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Vector3',
                 'layout': '<hhB', 'fields': ['x', 'y', 'z'], 'scale': [0.1, 0.1, 1],
-                'minimum': [-10, 0, 0], 'maximum': [10, 50, 3]}},
+                'minimum': [-10, 0, 0], 'maximum': [10, 50, 3]}, 'cmd_vel': {
+                'type': 41, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Twist',
+                'layout': '<ff', 'fields': ['linear.x', 'angular.z']}},
             # The responses of both have no status; the first also has no field for success.
             'bus/functions': {
                 'weigh': {'cmd2': 0x32, 'srv_type': 'serial_communication/GetEnvironment',

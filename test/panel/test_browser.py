@@ -1,6 +1,5 @@
 """The page in a browser: its display, its commands, and outages of bridge, master and panel."""
 import contextlib
-import math
 import os
 import re
 import shutil
@@ -16,14 +15,13 @@ from boards import PACKAGE, Diagnostics, Topic, again_if_stalled, settle, until
 from panel_helpers import GRIPPER, KEPT_BACK, NODE, TOKEN, Network, Panel, free_port, suspended
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Vector3
+from geometry_msgs.msg import Twist, Vector3
 from sensor_msgs.msg import Imu, Range
 from std_msgs.msg import ColorRGBA, Float32, Float64, Int64, String
 from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
 
 from serial_communication.link.outcome import NOT_SENT, Outcome
-from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand, SteeringFeedback,
-                                      Ticks, Voltage)
+from serial_communication.msg import Environment, McuStatus2, SteeringFeedback, Ticks, Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.settings import SettingMessage
@@ -135,6 +133,13 @@ def press_until(page, robot, button, reply, holds, click=None):
 def press_until_done(page, robot, button, reply, click=None):
     """Press a button of a function until it is done."""
     press_until(page, robot, button, reply, lambda page: newest_outcome(page) == 'done', click)
+
+
+def release_stop(page):
+    """Wait until the page shows that STOP holds, and release it there."""
+    wait_for_attribute(page, '#stop', 'aria-pressed', 'true')
+    press(page, '#release', lambda page: page.attribute('#stop', 'aria-pressed') == 'false',
+          'it is released')
 
 
 def open_dialog(page, form):
@@ -633,7 +638,7 @@ def test_calibration_needs_a_confirmation(control_page, robot):
     packet, form = arduino.encode(arduino.ImuCalibration()), '[data-service="~calibrate_imu"] '
     open_dialog(control_page, form)
     control_page.click('#stop')
-    wait_for_answer(control_page, 'STOP sent')       # beside the dialog
+    release_stop(control_page)       # beside the dialog
     control_page.click(form + 'dialog button:last-of-type')
     assert packet not in robot.car.raw_commands
     robot.sends = False          # as a board that calibrates
@@ -704,46 +709,55 @@ def test_stop_is_sent_as_soon_as_it_is_pressed_and_once(control_page):
         WebSocket.prototype.send = send;
         return counts;""")
     assert sent == [1, 1]
-    wait_for_answer(control_page, 'STOP sent')
+    release_stop(control_page)
 
 
-def test_stop_is_sent_also_while_no_update_is_received(control_page, robot, control_panel):
-    topic = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1)
-    # In its own thread: the panel sends SPEED 0 after each of them, but only for a second.
-    driving = rospy.Timer(rospy.Duration(0.05), lambda _event: topic.publish(value=300))
+def test_stop_is_sent_also_while_no_update_is_received(control_page, control_panel):
+    shown = watch_texts(control_page, '#trouble')
+    with suspended(control_panel.process.pid):
+        # The page itself looks and clicks, since after 3 s it gives the connection up.
+        control_page.script_until_done("""
+            const [done] = arguments, timer = setInterval(() => {
+              if (document.querySelector('#connection').textContent !== 'no connection') return;
+              clearInterval(timer);
+              document.querySelector('#stop').click();
+              done();
+            }, 20);""")
+        control_page.wait(lambda page: 'STOP: no answer' in ''.join(shown()), 'it says so')
+        assert control_page.attribute('#trouble', 'data-stopped') is None       # it is red
+    release_stop(control_page)
+    control_page.errors()       # the page may have given up the connection
 
-    def stopped():
-        robot.car.forget()
-        until(lambda: 300 in robot.car.speeds, 'another program drives')
-        with suspended(control_panel.process.pid):
-            # The page itself looks and clicks, since after 3 s it gives the connection up.
-            control_page.script_until_done("""
-                const [done] = arguments, timer = setInterval(() => {
-                  if (document.querySelector('#connection').textContent !== 'no connection') return;
-                  clearInterval(timer);
-                  document.querySelector('#stop').click();
-                  done();
-                }, 20);""")
-            robot.car.forget()
-        control_page.wait_for_text('#connection', 'live')
-        control_page.wait(lambda page: 'sending …' not in page.text('.answers li'),
-                          'it is answered')
-        if not control_page.text('.answers li').startswith(
-                ('STOP sent', 'STOP not known /panel_test goes on')):
-            return False        # this machine stalled, and the page has closed the connection
-        # The bridge itself sends one after a stall.
-        since = time.monotonic()
-        until(lambda: robot.car.speeds.count(0) > 3 or time.monotonic() > since + 3,
-              'SPEED 0 is sent')
-        return robot.car.speeds.count(0) > 3
+
+def test_stop_holds_against_another_program_until_it_is_released(control_page, panel, robot):
+    page, sent = control_page, []
+    moves, zero = (arduino.encode_raw(41, struct.pack('<ff', speed, 0)) for speed in (0.5, 0))
+    topic = rospy.Publisher(NODE + '/cmd_vel', Twist, queue_size=1)
+
+    def drive(_event):
+        topic.publish(Twist(linear=Vector3(x=0.5)))
+        sent.append(time.monotonic())
+    driving = rospy.Timer(rospy.Duration(0.05), drive)
     try:
-        again_if_stalled(stopped)
+        until(lambda: moves in robot.car.wire, 'another program drives')
+        page.click('#stop')
+        wait_for_attribute(page, '#stop', 'aria-pressed', 'true')
+        until(lambda: zero in robot.car.wire, 'it is stopped')
+        with page.other_tab():      # of a panel that only looks
+            page.open(panel.url)
+            page.wait_for_text('#trouble', 'stopped until STOP is released')
+            assert not page.all('.stops button:not([hidden])')
+        since = len(sent)
+        until(lambda: len(sent) > since + 40, 'the other program continues')
+        wire = bytes(robot.car.wire)
+        packets = wire[wire.index(zero):].split(b'\0')
+        assert {each + b'\0' for each in packets if each[1:2] == zero[1:2]} == {zero}
+        release_stop(page)
+        robot.car.forget()
+        until(lambda: moves in robot.car.wire, 'it drives again')
     finally:
         driving.shutdown()
         topic.unregister()
-    until(lambda: has_stopped(robot), 'the car stops')
-    control_page.errors()       # the console reports a lost connection
-    control_page.errors()       # the page may have given up the connection
 
 
 # -- the dead man's switch --------------------------------------------------------------------
@@ -754,20 +768,16 @@ def hold(page, robot):
 
     If the machine stalls for too long, the hold has to end, and another one begins.
     """
-    pressed_at = -math.inf
-
     def press():
-        nonlocal pressed_at     # a double click would not drive
-        if page.attribute('#pad', 'data-held') is None and time.monotonic() - pressed_at > 0.6:
+        if page.attribute('#pad', 'data-held') is None:
             page.release()
             page.press_at('#pad', 0, -60)
-            pressed_at = time.monotonic()
 
     def drives():
         # The page shows the hold a frame later; a test can only see it end if it was shown.
         return any(speed > 0 for speed in robot.car.speeds) \
             and page.attribute('#pad', 'data-held') is not None
-    until(drives, 'the car drives', doing=press)
+    until(drives, 'the car drives', doing=press, every=0.3)
 
 
 def has_stopped(robot):
@@ -799,13 +809,14 @@ def scripted(text):
 
 
 @contextlib.contextmanager
-def foreign_speed(page):
-    """Another program sends a speed, 0 as well as another."""
-    topic = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1)
-    until(lambda: page.attribute('#pad', 'data-held') is None, 'the panel hears it',
-          doing=lambda: topic.publish(value=0))
+def stopped(page):
+    """Another program calls ~stop, and releases it while the pad is still pressed."""
+    stop = rospy.ServiceProxy(NODE + '/stop', SetBool)
+    stop(True)
     yield
-    topic.unregister()
+    page.wait(lambda page: page.text('#pad-words') == 'stopped until STOP is released',
+              'the hold ends')
+    until(lambda: stop(False).success, 'it is released')
 
 
 def cut(network):
@@ -830,7 +841,7 @@ ENDS = {
     'the page hangs': (
         scripted('const end = performance.now() + 1500; while (performance.now() < end);'), ''),
     'the browser is frozen': (Browser.frozen, ''),
-    'another program sends a speed': (foreign_speed, '/panel_test commands the car')}
+    'another program calls ~stop': (stopped, '')}
 
 
 def test_whatever_ends_a_hold_stops_the_car(control_page, robot, network):
@@ -931,13 +942,6 @@ def test_which_keys_drive_and_what_else_stops(page):
 def test_the_pad_follows_only_the_pointer_that_has_pressed_it(page):
     check_pads(page, {'pointer down 1, pointer move 1 2': RIGHT_AHEAD,
                       'pointer down 1, pointer move 2 2': DRIVING})
-
-
-def test_the_pad_takes_no_second_press_of_a_double_click(page):
-    check_pads(page, {
-        'pointer down, pointer up, wait 450, pointer down':
-            'not driven: a double click; press once, and hold',
-        'pointer down, pointer up, wait 500, pointer down': DRIVING})
 
 
 # -- outages ----------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The commands of the page, with --control: service calls, messages to the boards, driving.
+"""The commands of the page, with --control: service calls, STOP, messages to the boards, driving.
 
 Each call runs in its own thread, since it may take seconds; the registrar's thread creates the
 publishers. Everything else runs on the IO loop, including the dead man's switch.
@@ -14,6 +14,7 @@ from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 import genpy
 import rospy
 from std_msgs.msg import String
+from std_srvs.srv import SetBool, SetBoolRequest
 
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 
@@ -32,14 +33,12 @@ from .forms import (Message, Service, board_services, custom_messages, custom_se
 STEERING = (500, 2500)      # µs, the range of a servo
 _DOUBLE_CLICK = 0.5         # s after a call in which another one of its service is refused
 _MAX_AGE = MOST_WAIT        # s from a click until its request is sent; later it is refused
-_MAX_CALLS = 8              # under way at once
+_MAX_CALLS = 8              # under way at once; likewise STOPs
 _MAX_ANSWERS = 30           # kept for the pages
 _MAX_REPLY = 40             # fields of a response that are shown
 _MAX_REPLY_TEXT = 200       # characters of each
-_STOPPING = 1.0             # s for which SPEED 0 is repeated after STOP
-_STOP_PERIOD = 0.05         # s between two of them
-_GOES_ON = 0.3              # s after STOP; a speed of another program that comes later is new
-_FOREIGN = 0.5              # s for which no page drives after another program has sent a speed
+_STOP = Service(SetBool, '', [])
+_STOP_ANSWER = 0.5          # s for the bridge to answer a STOP; then SPEED 0 is sent instead
 _SENT = 'sent'              # the outcome of what no board answers
 _TO_THE_BRIDGE = 'to the bridge; this command has no answer'
 _TOPICS = {'~speed': SpeedPWMCommand, '~led': String, '~steering': SteeringPWMCommand}
@@ -66,17 +65,13 @@ class Commands:
         self._answers: Deque[Dict[str, Any]] = deque(maxlen=_MAX_ANSWERS)
         # (page, service) -> when its last call ended; None: it is under way
         self._ended: Dict[Tuple[Any, str], Optional[float]] = {}
-        self._under_way = 0              # calls, also of pages that are closed
+        self._under_way = {False: 0, True: 0}   # STOPs (True) and calls, also of closed pages
         self._last_number = 0            # of a call
         self._changed: List[Dict[str, Any]] = []
         self._wanted = False             # whether a page is open
         self._publishers: Dict[str, rospy.Publisher] = {}    # set in the registrar's thread
-        self._speeds: Any = None         # subscriber to ~speed; set in the registrar's thread
-        self._switch = DeadManSwitch(self._publish_stop)
-        self._stopped_at = -math.inf     # when STOP was pressed last
-        self._stop_answer: Dict[str, Any] = {}
-        self._drive_words = ''
-        self._sent_drive: Any = None
+        self._switch = DeadManSwitch(self._publish_zero)
+        self._sent_drive: Optional[bool] = None
 
     # -- start and stop ------------------------------------------------------------------------
 
@@ -97,14 +92,7 @@ class Commands:
         self._registrar.submit(self._register)
 
     def _register(self) -> None:
-        """Create and unregister publishers, and watch ~speed. Runs in the registrar's thread."""
-        if self._wanted and self._speeds is None:
-            self._speeds = rospy.Subscriber(
-                absolute('~speed', self._node), SpeedPWMCommand, self._on_speed, queue_size=10,
-                tcp_nodelay=True)
-        elif not self._wanted and self._speeds is not None:
-            self._speeds.unregister()
-            self._speeds = None
+        """Create and unregister publishers. Runs in the registrar's thread."""
         classes = {**_TOPICS, **{name: each.row.message_class
                                  for name, each in self._messages.items()}} if self._wanted else {}
         for name, publisher in list(self._publishers.items()):
@@ -137,24 +125,21 @@ class Commands:
             self._parameters = bridge.parameters
             self._services = {**board_services(bridge.boards),
                               **custom_services(bridge.boards, self._parameters),
-                              **settings(bridge.boards, self._parameters)}
+                              **settings(bridge.boards, self._parameters), '~stop': _STOP}
             self._messages = custom_messages(bridge.boards, self._parameters)
             self._registrar.submit(self._register)
             update['controls'] = self.describe()
         if self._changed:
             update['calls'], self._changed = self._changed, []
-        drive = self._driving()
-        if drive != self._sent_drive:
-            update['drive'] = self._sent_drive = drive
+        drives = self._switch.hold is not None
+        if drives != self._sent_drive:
+            update['drives'] = self._sent_drive = drives
         return update
 
     def snapshot(self) -> Dict[str, Any]:
         """The whole state, for a page that has just been opened."""
-        return {'calls': list(self._answers), 'drive': self._driving(),
+        return {'calls': list(self._answers), 'drives': self._switch.hold is not None,
                 'controls': self.describe()}
-
-    def _driving(self) -> Dict[str, Any]:
-        return {'held': self._switch.hold is not None, 'words': self._drive_words}
 
     # -- services ------------------------------------------------------------------------------
 
@@ -175,29 +160,49 @@ class Commands:
         now = time.monotonic()
         _check_age(seen, now)
         self._refuse_second(page, name, now)
-        if self._under_way >= _MAX_CALLS:
-            raise CommandRefused(f'{self._under_way} calls are under way, which is the limit')
         service = self._services[name]
         request = _request(name, service, arguments)
         self._ended[page, name] = None
-        self._under_way += 1
-        entry = self._add_answer(key, name, arguments, now)
-        try:
-            threading.Thread(target=self._run, args=(page, service, request, entry, seen),
-                             daemon=True, name=f'call {name}').start()
-        except RuntimeError as error:       # no memory for a thread
-            self._answered(page, service, entry,
-                           Answer(Verdict.REFUSED, f'nothing was sent: {error}'))
+        self._begin(page, service, request, self._add_answer(key, name, arguments, now),
+                    seen + _MAX_AGE)
+
+    def press_stop(self, key: str) -> None:
+        """End any page's driving and call ~stop, at any time and however old the command is.
+
+        SPEED 0 is sent if the bridge does not confirm the STOP in time.
+        """
+        self._switch.end()
+        entry = self._add_answer(key, '~stop', {'data': True}, time.monotonic())
+        self._call_later(_STOP_ANSWER, self._fall_back, entry)
+        self._begin(None, _STOP, SetBoolRequest(True), entry, math.inf)
+
+    def _fall_back(self, stop: Dict[str, Any]) -> None:
+        """Send SPEED 0 unless the bridge has confirmed this STOP."""
+        if stop.get('outcome') != Verdict.DONE.value:
+            self._publish_zero()
 
     def forget(self, page: Any) -> None:
         """The page is closed: stop its driving. Its calls continue."""
         self._switch.forget(page)
         self._ended = {key: at for key, at in self._ended.items() if key[0] is not page}
 
+    def _begin(self, page: Any, service: Service, request: Any, entry: Dict[str, Any],
+               deadline: float) -> None:
+        """Call the service in a thread of its own; `page` is None for a STOP."""
+        self._under_way[page is None] += 1
+        try:
+            if self._under_way[page is None] > _MAX_CALLS:
+                raise RuntimeError(f'{_MAX_CALLS} calls are under way, which is the limit')
+            threading.Thread(target=self._run, args=(page, service, request, entry, deadline),
+                             daemon=True, name=f'call {entry["name"]}').start()
+        except RuntimeError as error:       # or no memory for a thread
+            self._answered(page, service, entry,
+                           Answer(Verdict.REFUSED, f'nothing was sent: {error}'))
+
     def _run(self, page: Any, service: Service, request: Any, entry: Dict[str, Any],
-             seen: float) -> None:
+             deadline: float) -> None:
         answer = call(absolute(service.service_name(entry['name']), self._node),
-                      service.service_class, request, seen + _MAX_AGE)
+                      service.service_class, request, deadline)
         self._add_callback(self._answered, page, service, entry, answer)
 
     def _answered(self, page: Any, service: Service, entry: Dict[str, Any],
@@ -206,7 +211,9 @@ class Commands:
         reply = _reply(service, answer.response) if answer.outcome is Verdict.DONE else []
         entry.update(outcome=answer.outcome.value, words=answer.words, reply=reply,
                      took=round(now - entry['began'], 3))
-        self._under_way -= 1
+        self._under_way[page is None] -= 1
+        if page is None:
+            self._fall_back(entry)
         if (page, entry['name']) in self._ended:
             self._ended[page, entry['name']] = now
         self._changed.append(entry)
@@ -261,46 +268,6 @@ class Commands:
 
     # -- the car -------------------------------------------------------------------------------
 
-    def stop_car(self, key: str) -> None:
-        """End any page's driving and send SPEED 0, at any time and however old the command is.
-
-        SPEED 0 is repeated for a second, and follows every speed of another program at once.
-        """
-        now = time.monotonic()
-        self._stopped_at = now
-        self._switch.bar('STOP was pressed a moment ago; press again', now + _STOPPING)
-        self._repeat_stop(now)
-        self._publisher('~speed')       # or the answer is why it is not received
-        self._stop_answer = self._add_answer(key, '~speed', {'value': 0}, now, outcome=_SENT,
-                                             took=0.0, words=_TO_THE_BRIDGE)
-
-    def _repeat_stop(self, stopped_at: float) -> None:
-        if stopped_at == self._stopped_at and time.monotonic() < stopped_at + _STOPPING:
-            self._publish_stop()
-            self._call_later(_STOP_PERIOD, self._repeat_stop, stopped_at)
-
-    def _on_speed(self, command: Any) -> None:
-        """Receive a speed, also one of this panel. Runs in rospy's thread."""
-        name = command._connection_header['callerid']
-        if name != rospy.get_name():
-            self._add_callback(self._foreign_speed, name, command.value)
-
-    def _foreign_speed(self, name: str, speed: int) -> None:
-        """Another program has sent a speed: no page drives beside it, and STOP answers it."""
-        now = time.monotonic()
-        if self._switch.hold:
-            self._drive_words = f'stopped: {name} commands the car'
-        self._switch.bar(f'{name} commands the car', now + _FOREIGN)
-        since = now - self._stopped_at
-        if speed and since < _STOPPING:
-            self._publish_stop()
-            if since > _GOES_ON and self._stop_answer.get('outcome') == _SENT:
-                self._stop_answer.update(
-                    outcome=Verdict.NOT_KNOWN.value,
-                    words=f'{name} goes on sending speeds; SPEED 0 is sent against it for '
-                          f'{_STOPPING:g} s: end that program')
-                self._changed.append(self._stop_answer)
-
     def drive(self, page: Any, hold: int, seen: float, speed: int, steering: int) -> None:
         """Drive until the page has not repeated this for SILENCE.
 
@@ -315,13 +282,9 @@ class Commands:
         """
         now = time.monotonic()
         speeds, steerings = self._publisher('~speed'), self._publisher('~steering')
-        try:
-            self._switch.command(page, hold, seen, now)
-        except CommandRefused as refused:
-            self._drive_words = str(refused)
-            raise
-        self._drive_words = ''
-        self._call_later(SILENCE, self._check)      # before anything that may fail
+        self._switch.command(page, hold, seen, now)
+        # Before anything that may fail.
+        self._call_later(SILENCE, lambda: self._switch.check(time.monotonic()))
         stamp = rospy.Time.now()
         self._publish_speed(speeds, max(-SPEED_LIMIT, min(SPEED_LIMIT, speed)), stamp)
         command = SteeringPWMCommand(value=max(STEERING[0], min(STEERING[1], steering)))
@@ -332,13 +295,7 @@ class Commands:
         """The page's pad is no longer held: stop the car."""
         self._switch.release(page, hold)
 
-    def _check(self) -> None:
-        held = self._switch.hold
-        self._switch.check(time.monotonic())
-        if held and not self._switch.hold:
-            self._drive_words = f'stopped: no command from the page for {SILENCE:g} s'
-
-    def _publish_stop(self) -> None:
+    def _publish_zero(self) -> None:
         publisher = self._publishers.get('~speed')
         if publisher:
             self._publish_speed(publisher, 0, rospy.Time.now())
@@ -354,7 +311,6 @@ class Commands:
 
     def _publisher(self, name: str) -> rospy.Publisher:
         publisher = self._publishers.get(name) if self._wanted else None
-        # Of all subscribers only the bridge counts.
         if publisher is None or not publisher.impl.has_connection(self._node):
             raise CommandRefused(f'the bridge does not subscribe to {name}: it does not run, '
                                  'or that link is off')

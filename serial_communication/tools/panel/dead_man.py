@@ -25,9 +25,6 @@ class DeadManSwitch:
     Therefore each command carries the time of the latest update that the page had seen, by this
     machine's clock. A command is too old if that update was sent more than MAX_AGE ago.
 
-    While another program commands the car, or STOP was pressed a moment ago, no hold drives: see
-    `bar`.
-
     Args:
         stop: is called whenever a hold that drove has ended.
     """
@@ -36,8 +33,6 @@ class DeadManSwitch:
         self.hold: Optional[Hold] = None
         self._stop = stop
         self._ended: Dict[Any, int] = {}     # page -> number of its latest hold that has ended
-        self._barred_until = 0.0
-        self._barred_words = ''
 
     def command(self, page: Any, number: int, seen: float, now: float) -> None:
         """Take a command that was received.
@@ -50,9 +45,6 @@ class DeadManSwitch:
             CommandRefused: the command must not drive the car.
         """
         self.check(now)
-        if now < self._barred_until:
-            self.release(page, number)
-            raise CommandRefused(self._barred_words)
         if number <= self._ended.get(page, 0):
             raise CommandRefused('let go and press again')
         if self.hold and self.hold.page is not page:
@@ -64,17 +56,6 @@ class DeadManSwitch:
         if self.hold and self.hold.number != number:
             self.end()      # its release has been lost
         self.hold = Hold(page, number, now)
-
-    def bar(self, words: str, until: float) -> None:
-        """End the hold that drives, and refuse every command until then.
-
-        Args:
-            words: why.
-            until: s; of two times, the later one counts.
-        """
-        if until > self._barred_until:
-            self._barred_until, self._barred_words = until, words
-        self.end()
 
     def check(self, now: float) -> None:
         """End the hold if its page has been silent for too long."""

@@ -26,7 +26,7 @@ are in every message, the other keys only if they have changed:
     calls       [{number, key, name, arguments, began, outcome, words, took, reply}] of every page,
                 calls and messages; without the last four while the call is under way. `reply` (of
                 a call) has [field, value as text] of the response
-    drive       {held, words}
+    drives      whether a page drives
     refused     {key, words}: why a command of this page was not executed
 
 From the page, any of these keys in one message:
@@ -39,7 +39,7 @@ From the page, any of these keys in one message:
                 the press may have been meant for what was there before
     send        {key, name, values}: send a custom command
     led         {key, text}
-    stop        {key}: end any page's driving, and send SPEED 0
+    stop        {key}: end any page's driving, and call ~stop with true. `call` ends it, with false
     drive       {key, hold, seen, speed, steering}: at least ten times a second while the pad is
                 held; `hold` counts presses
     release     {hold}
@@ -210,7 +210,7 @@ class Session(GuardedHandler, WebSocketHandler):
             elif name == 'led':
                 commands.led(key, seen, str(values['text']))
             elif name == 'stop':
-                commands.stop_car(key)
+                commands.press_stop(key)
             elif name == 'drive':
                 commands.drive(self, int(values['hold']), float(values['seen']),
                                int(values['speed']), int(values['steering']))

@@ -5,9 +5,9 @@ from unittest import mock
 
 import pytest
 import rospy
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBoolResponse, Trigger
 
-from waiting import PATIENCE
+from waiting import PATIENCE, until
 from serial_communication.boards.arduino.wire import SPEED_LIMIT
 from serial_communication.link.outcome import Verdict
 from serial_communication.tools.panel import commands as panel_commands
@@ -20,6 +20,7 @@ from serial_communication.tools.watch.state import BridgeState, LinkState
 
 NODE = '/serial_communication'
 PAGE = 'a page'
+DONE = SetBoolResponse(True, 'stopped')
 
 
 class Panel:
@@ -35,8 +36,9 @@ class Panel:
 
     def drive(self, reached):
         """Take a command of a page while the bridge subscribes to these."""
-        with mock.patch.object(panel_commands, 'reaches', lambda each, _node: each in reached), \
-                mock.patch.object(rospy.Time, 'now', rospy.Time):
+        for publisher in self.speed, self.steering:
+            publisher.impl.has_connection.return_value = publisher in reached
+        with mock.patch.object(rospy.Time, 'now', rospy.Time):
             self.commands.drive(PAGE, 1, time.monotonic(), SPEED_LIMIT, 1500)
 
     @property
@@ -72,6 +74,48 @@ def test_silence_stops_the_car_even_if_the_first_command_could_not_be_published(
         check()
     assert panel.speed.publish.call_args[0][0].value == 0
     assert not panel.commands.stop_driving()
+
+
+def press_stop(panel, answer):
+    """Press STOP, to which the bridge answers with what `answer()` returns; return the call."""
+    called = []
+
+    def call(name, _service_class, request, _deadline):
+        called[:] = name, request.data
+        return answer()
+
+    with mock.patch.object(panel_commands, 'call', call), \
+            mock.patch.object(rospy.Time, 'now', rospy.Time):
+        panel.commands.press_stop('1')
+        until(lambda: called, '~stop is called')
+    return called
+
+
+def speeds(panel):
+    """The speeds that were published."""
+    return [call[0][0].value for call in panel.speed.publish.call_args_list]
+
+
+def test_stop_ends_a_hold_and_calls_the_bridge(panel):
+    panel.drive([panel.speed, panel.steering])
+    called = press_stop(panel, lambda: Answer(Verdict.DONE, 'stopped', DONE))
+    assert called == [f'{NODE}/stop', True]
+    until(lambda: panel.calls['1'].get('outcome') == 'done', 'it is answered')
+    after, fall_back, stop = panel.later[-1]
+    fall_back(stop)
+    assert after == 0.5 and speeds(panel) == [SPEED_LIMIT, 0]
+
+
+def test_a_stop_without_an_answer_or_refused_sends_speed_0(panel):
+    answer = threading.Event()
+    press_stop(panel, lambda: answer.wait(PATIENCE) and Answer(Verdict.REFUSED, 'not sent'))
+    _after, fall_back, stop = panel.later[-1]
+    assert not speeds(panel)
+    with mock.patch.object(rospy.Time, 'now', rospy.Time):
+        fall_back(stop)
+        assert speeds(panel) == [0]
+        answer.set()
+        until(lambda: len(speeds(panel)) == 2, 'it is sent again when the call fails')
 
 
 def test_a_request_and_what_delays_the_call_may_take_2_s_together(panel):

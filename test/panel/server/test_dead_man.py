@@ -103,24 +103,3 @@ def test_a_new_press_after_a_lost_release_stops_in_between(car):
     car.switch.command('one', 1, 100, 100)
     car.switch.command('one', 2, 100.1, 100.1)
     assert car.stops == 1 and car.switch.hold.number == 2
-
-
-def test_nothing_drives_while_it_is_barred_and_the_hold_does_not_continue_afterwards(car):
-    car.switch.command('one', 1, 100, 100)
-    car.switch.bar('/teleop commands the car', 100.5)
-    assert car.stops == 1 and not car.switch.hold
-    for page, hold in ('one', 1), ('one', 2), ('other', 7):
-        with pytest.raises(CommandRefused, match='/teleop commands the car'):
-            car.switch.command(page, hold, 100.4, 100.4)
-    for page, hold in ('one', 1), ('one', 2), ('other', 7):
-        with pytest.raises(CommandRefused, match='let go and press again'):
-            car.switch.command(page, hold, 100.6, 100.6)
-    car.switch.command('one', 3, 100.6, 100.6)
-    assert car.switch.hold and car.stops == 1
-
-
-def test_of_two_bars_the_later_one_counts(car):
-    car.switch.bar('STOP', 101)
-    car.switch.bar('/teleop', 100.5)
-    with pytest.raises(CommandRefused, match='STOP'):
-        car.switch.command('one', 1, 100.9, 100.9)

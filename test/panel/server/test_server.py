@@ -8,7 +8,7 @@ import socket
 import subprocess
 import threading
 import time
-from itertools import count, islice
+from itertools import count
 
 import pytest
 import rospy
@@ -49,7 +49,7 @@ def driver(control_panel, robot):
         robot.car.forget()
         settle(PACKAGE, robot.bus)
         yield page
-    until(lambda: not page.known.get('drive', {}).get('held') or page.closed, 'no page drives')
+    until(lambda: not page.known.get('drives') or page.closed, 'no page drives')
 
 
 def publishes(panel):
@@ -307,7 +307,7 @@ def test_a_page_that_has_just_been_opened_takes_no_command_but_stop(control_pane
                 return False
             words = set(wait_until_refused(page, last, 'early led', 'drive'))
             assert 'just appeared' not in page.refusals.get('early stop', '')
-            page.settle()
+            page.settle().call('~stop', data=False)
         return words == {'nothing was sent: the page has just appeared; press again'}
     again_if_stalled(refused_early)
     assert not robot.lift_requests and not any(robot.car.speeds)
@@ -467,26 +467,17 @@ def test_release_stops_the_car(driver, robot):
 
 
 def test_silence_stops_the_car(driver, robot):
-    def silence_stopped():
-        robot.car.forget()
-        drive_until(driver, drives(robot), 'the car drives')
-        until(has_stopped(robot), 'the car stops')
-        driver.until(lambda page: not page.known['drive']['held'], 'the page shows it')
-        # The panel stopped the car before the bridge's own timeout of 0.5 s had to.
-        return driver.known['drive']['words'] == 'stopped: no command from the page for 0.2 s'
-    again_if_stalled(silence_stopped)
+    drive_until(driver, drives(robot), 'the car drives')
+    driver.until(lambda page: not page.known['drives'], 'the hold ends')
+    until(has_stopped(robot), 'the car stops')
 
 
 def test_a_lost_connection_stops_the_car(driver, control_panel, robot):
-    def loss_stopped():
-        robot.car.forget()
-        with Page(control_panel, TOKEN).settle() as lost:
-            drive_until(lost, lambda: drives(robot)() and driver.known['drive']['held'],
-                        'the car drives, and others see it')
-        until(has_stopped(robot), 'the car stops')
-        driver.until(lambda page: not page.known['drive']['held'], 'others see the end')
-        return 'no command' not in driver.known['drive']['words']      # the silence was later
-    again_if_stalled(loss_stopped)
+    with Page(control_panel, TOKEN).settle() as lost:
+        drive_until(lost, lambda: drives(robot)() and driver.known['drives'],
+                    'the car drives, and others see it')
+    driver.until(lambda page: not page.known['drives'], 'others see the end')
+    until(has_stopped(robot), 'the car stops')
 
 
 def test_a_panel_that_was_suspended_does_not_continue_to_drive(driver, control_panel, robot):
@@ -510,126 +501,63 @@ def test_the_car_stops_when_the_panel_ends(robot):
         until(has_stopped(robot), 'the car stops')
 
 
-class Teleop:
-    """Another program that commands the car: this process, 20 times a second.
-
-    Args:
-        speed: None: it sends nothing.
-    """
-
-    def __init__(self, speed=None):
-        self.speed = speed
-        self._topic = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1,
-                                      tcp_nodelay=True)
-        self._timer = rospy.Timer(rospy.Duration(0.05), self._publish)
-
-    def _publish(self, _event):
-        if self.speed is not None:
-            self._topic.publish(value=self.speed)
-
-    def is_heard_by(self, *nodes):
-        """Whether these nodes are connected."""
-        return all(self._topic.impl.has_connection(node) for node in nodes)
-
-    def end(self):
-        """Publish no more."""
-        self._timer.shutdown()
-        self._topic.unregister()
-
-
-@pytest.fixture
-def teleop(driver, control_panel, robot):
-    """Another program, which may drive."""
-    teleop = Teleop()
-    until(lambda: teleop.is_heard_by(NODE, control_panel.node), 'bridge and panel hear it')
-    yield teleop
-    teleop.end()
-    driver.send(stop={'key': 'over'})
-    until(has_stopped(robot), 'the car stops')
-
-
-def test_no_page_drives_while_another_program_does(driver, teleop, robot):
-    teleop.speed = 300
-    until(drives(robot, 300), 'it drives')
-    holds = count(1)
-
-    def is_the_only_one():
-        robot.car.forget()
-        for hold in islice(holds, 20):
-            keep_driving(driver, hold, 1)
-        until(lambda: is_refused('/panel_test commands the car')(driver),
-              'it is refused, with the reason', doing=lambda: drive(driver, next(holds)),
-              every=0.04)
-        return set(robot.car.speeds) <= {300}
-    again_if_stalled(is_the_only_one)       # for half a second: then the page may drive
-
-
-def test_a_speed_0_of_another_program_ends_a_hold(driver, teleop, robot):
-    hold = drive_until(driver, drives(robot), 'the car drives')
-    teleop.speed = 0
-    until(lambda: is_refused('/panel_test commands the car')(driver), 'the hold has ended',
-          doing=lambda: drive(driver, hold), every=0.04)
-    check_that_no_speed_follows(driver, hold, robot, 'the car stops')
-
-
-def test_stop_is_repeated_against_a_program_that_goes_on_and_says_so(driver, teleop, robot):
-    teleop.speed = 300
-    until(drives(robot, 300), 'it drives')
-
-    def goes_on():
-        robot.car.forget()
-        key, since = f'against {next(_KEYS)}', time.monotonic()
-        driver.send(stop={'key': key})
-        # Only a speed in the first second counts, and a stall may delay all of them.
-        until(lambda: driver.calls.get(key, {}).get('outcome') == 'not known'
-              or time.monotonic() > since + 3, 'the page says that it goes on')
-        answer = driver.calls.get(key, {})
-        return answer.get('outcome') == 'not known' and robot.car.speeds.count(0) >= 3 and answer
-    assert '/panel_test goes on sending speeds' in again_if_stalled(goes_on)['words']
-    teleop.speed = 0
-
-
-@pytest.mark.parametrize('own_panel', [False, True], ids=['one panel', 'two panels'])
-def test_two_pages_do_not_drive_at_once(driver, control_panel, robot, own_panel):
-    with contextlib.ExitStack() as stack:
-        panel = control_panel
-        if own_panel:
-            panel = stack.enter_context(Panel('--control', '--token', TOKEN, name='panel_beside'))
-        other = stack.enter_context(Page(panel, TOKEN).settle())
-        until(lambda: panel.node in publishers_and_subscribers()[1].get(NODE + '/speed', ()),
-              'it watches the speeds')
+def test_two_pages_do_not_drive_at_once(driver, control_panel, robot):
+    with Page(control_panel, TOKEN).settle() as other:
         presses = count(1)
-        why = '/panel_control commands the car' if own_panel else 'another page drives'
 
         def only_one_drives():
             robot.car.forget()
-            hold = drive_until(driver, drives(robot), 'the car drives')
-            first = next(presses)
+            hold, press = drive_until(driver, drives(robot), 'the car drives'), next(presses)
+            for page in driver, other:
+                page.known.pop('refused', None)
 
             def both():
                 drive(driver, hold)
-                drive(other, next(presses) if own_panel else first, speed=-90)
-            for page in driver, other:
-                page.known.pop('refused', None)
-            until(lambda: is_refused(why)(other) or 'refused' in driver.known,
+                drive(other, press, speed=-90)
+            until(lambda: is_refused('another page drives')(other) or 'refused' in driver.known,
                   'the other is refused', doing=both, every=0.04)
-            if 'refused' in driver.known:       # this machine stalled, and its hold has ended
-                return False
-            robot.car.forget()
-            for _ in range(20):
-                both()
-                time.sleep(0.04)
-            signs = [speed > 0 for speed in robot.car.speeds if speed]
-            return sum(one != next_ for one, next_ in zip(signs, signs[1:])) == 0 \
-                and (own_panel or -90 not in robot.car.speeds)
-        again_if_stalled(only_one_drives, tries=10)
-        hold = drive_until(driver, drives(robot, 130), 'the car drives', 130)
-        driver.known.pop('refused', None)
-        other.send(seen=0, stop={'key': 'other'})       # however old it is
-        until(lambda: 'refused' in driver.known, 'the hold has ended',
-              doing=lambda: drive(driver, hold), every=0.04)
-        check_that_no_speed_follows(driver, hold, robot, 'STOP on the other stops the car')
-        assert own_panel or wait_for_answer(other, 'other')['outcome'] == 'sent'
+            return 'refused' not in driver.known    # this machine stalled, and its hold has ended
+        again_if_stalled(only_one_drives)
+    assert -90 not in robot.car.speeds
+
+
+# -- STOP -------------------------------------------------------------------------------------
+
+
+def shows_stop(page):
+    """Whether the latest status of any link has it."""
+    return any(link.get('values', {}).get('condition') == 'stopped'
+               for link in page.known.get('links', {}).values())
+
+
+def test_stop_holds_for_every_page_until_it_is_released(driver, control_panel, page, robot):
+    with Page(control_panel, TOKEN).settle() as other:
+        hold = drive_until(driver, drives(robot), 'the car drives')
+        key = f'stop {next(_KEYS)}'
+        other.send(seen=0, stop={'key': key})       # however old it is
+        assert wait_for_answer(other, key)['outcome'] == 'done'
+        check_that_no_speed_follows(driver, hold, robot, 'the car stops')
+        for each in driver, other, page:            # also one that only looks
+            each.until(shows_stop, 'the page shows it')
+        keep_driving(driver, hold + 1)              # a new press
+        assert robot.car.speeds[-1] == 0
+        driver.call('~stop', data=False)
+        drive_until(driver, lambda: robot.car.speeds[-1] == 130, 'the car drives again', 130)
+        page.until(lambda page: not shows_stop(page), 'it holds no more')
+
+
+def test_a_stop_that_the_bridge_does_not_answer_sends_speed_0(driver, robot):
+    received, key = [], f'stop {next(_KEYS)}'
+    topic = rospy.Subscriber(NODE + '/speed', SpeedPWMCommand,
+                             lambda message: received.append(message.value))
+    until(topic.get_num_connections, 'the speeds of the panel are received')
+    with suspended(robot.bridge.process.pid):
+        driver.send(stop={'key': key})
+        until(lambda: received, 'a speed is sent')
+    wait_for_answer(driver, key)
+    topic.unregister()
+    driver.call('~stop', data=False)
+    assert set(received) == {0}
 
 
 # -- a master, a bridge or a panel that hangs -------------------------------------------------

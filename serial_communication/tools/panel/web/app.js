@@ -12,6 +12,7 @@ import {Connection} from './connection.js';
 import {formatAge, h, updateAttribute, updateText, withoutAges} from './dom.js';
 import {flow} from './flow.js';
 import {Model} from './model.js';
+import {STOPPED} from './reasons.js';
 
 const IDLE = 200;         // ms between two drawings while no update is received
 const CLICK_OF_PRESS = 1000;    // ms after a press in which a click is the same press
@@ -24,7 +25,7 @@ const connection = new Connection();
 const links = new Links(announce);
 const topicCards = new TopicCards();
 const commands = new Commands(connection, announce);
-const drive = new Drive(connection, announce);
+const drive = new Drive(connection);
 const wire = new Wire(watch);
 const log = new Log();
 // The parts of the page; on a phone each is a tab. The links' card is in index.html.
@@ -76,23 +77,27 @@ function watch() {
   connection.watch(new Set(cards.flatMap((each) => each.topics)));
 }
 
-/** Show the connection, the bridge's trouble and the worst link in the page's head and title. */
+/** Show connection, STOP, the bridge's trouble and the worst link in the page's head and title. */
 function drawHead(now) {
   const alive = connection.alive;
   const state = worst(model, now);
   const trouble = alive ? model.trouble
     : connection.seen ? `no connection to the panel for ${formatAge(Math.max(0, now - connection.seen))}: ${connection.words}` : connection.words;
-  place('trouble').hidden = !trouble || !connection.seen && connection.words === 'connecting …';
-  updateText(place('trouble'), trouble);
-  updateAttribute(place('trouble'), 'title', trouble);
+  const stopped = model.stopped(now), stopTrouble = commands.stopTrouble(model, now);
+  const words = [stopTrouble, trouble, stopped ? STOPPED : ''].filter(Boolean).join('; ');
+  place('trouble').hidden = !words || !connection.seen && connection.words === 'connecting …';
+  updateText(place('trouble'), words);
+  updateAttribute(place('trouble'), 'title', words);
+  updateAttribute(place('trouble'), 'data-stopped', words === STOPPED);
   const health = !alive ? 'lost' : trouble ? 'trouble' : 'live';
   updateText(place('connection'), {lost: 'no connection', trouble: 'not live', live: 'live'}[health]);
   updateAttribute(document.body, 'data-connection', health);
-  updateText(place('alarm'), place('trouble').hidden ? '' : withoutAges(trouble));
+  updateText(place('alarm'), place('trouble').hidden ? '' : withoutAges(words));
   place('stop').hidden = model.controls === null;
+  updateAttribute(place('stop'), 'aria-pressed', String(stopped));
   updateAttribute(document.body, 'data-control', model.controls !== null);
   updateText(place('node'), model.node.replace(/^\//, '') || 'serial_communication');
-  const sign = !alive ? '✕ no connection' : trouble ? `✕ ${trouble}` : state.words ? `${state.sign} ${state.words}` : '✓';
+  const sign = !alive ? '✕ no connection' : words ? `${words === STOPPED ? '■' : '✕'} ${words}` : state.words ? `${state.sign} ${state.words}` : '✓';
   const title = `${sign} · ${place('node').textContent}`;
   if (document.title !== title) document.title = title;
 }

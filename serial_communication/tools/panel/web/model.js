@@ -3,6 +3,7 @@ const KEPT = 600;          // s of samples and errors
 const MAX_SAMPLES = 4000;  // of one topic: 40 s at 100 Hz
 const MAX_CALLS = 30;      // whose answers are kept
 const ERRORS_SHOWN = 10;   // s for which an error marks its link
+const STATUS_PERIOD = 1;   // s between two statuses of a link
 
 /** One topic: its fields, and samples of [time, value …]. */
 class TopicData {
@@ -117,13 +118,25 @@ export class Model {
     this.links = new Map();
     this.log = [];
     this.calls = new Map();   // number -> call
-    this.drive = {held: false, words: ''};
+    this.drives = false;      // a page
     this.controls = null;
   }
 
   topic(name) {
     if (!this.topics.has(name)) this.topics.set(name, new TopicData(name));
     return this.topics.get(name);
+  }
+
+  /** Whether STOP holds: by /diagnostics, unless ~stop was answered less than a status before. */
+  stopped(now) {
+    const links = [...this.links.values()].filter((link) => !link.stale(now));
+    let at = Math.max(...links.map((link) => link.at));
+    let held = links.some((link) => link.values.condition === 'stopped');
+    for (const {name, outcome, began, took, arguments: {data}} of this.calls.values()) {
+      const until = began + took + STATUS_PERIOD;
+      if (name === '~stop' && outcome === 'done' && until > at) [at, held] = [until, data];
+    }
+    return links.length > 0 && held;
   }
 
   take(update) {
@@ -138,7 +151,7 @@ export class Model {
       this.controls = update.controls ?? null;
     }
     this._now = update.now;
-    for (const key of ['node', 'trouble', 'known', 'boards', 'drive', 'controls']) {
+    for (const key of ['node', 'trouble', 'known', 'boards', 'drives', 'controls']) {
       if (key in update) this[key] = update[key];
     }
     for (const [name, changes] of Object.entries(update.topics ?? {})) {

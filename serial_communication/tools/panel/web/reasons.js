@@ -2,8 +2,13 @@
 import {APPEARED, hasJustAppeared} from './appeared.js';
 import {formatAge, withoutAges} from './dom.js';
 
-/** @param link the name of the link that the command needs */
-export function whyNot(model, connection, now, link) {
+export const STOPPED = 'stopped until STOP is released';
+
+/**
+ * @param link the name of the link that the command needs
+ * @param moves whether the bridge refuses it while STOP holds
+ */
+export function whyNot(model, connection, now, link, moves = false) {
   if (!connection.alive) return 'no connection to the panel';
   if (hasJustAppeared()) return APPEARED;
   const status = model.links.get(link);
@@ -11,9 +16,11 @@ export function whyNot(model, connection, now, link) {
   if (!status) return `the ${link} link is off`;
   if (status.at === null) return model.trouble || `no status of the ${link} link yet`;
   if (status.stale(now)) return `the bridge has been silent for ${formatAge(now - status.at)}`;
-  if (status.summary.startsWith('closed')) return `the ${link} link is closed`;
-  if (status.summary.startsWith('lent to')) return `the ${link} link is ${status.summary}`;
-  return status.summary.startsWith('calibrating') ? 'the IMU is being calibrated' : '';
+  const {condition} = status.values;
+  if (condition === 'closed') return `the ${link} link is closed`;
+  if (condition === 'lent') return `the ${link} link is ${status.summary}`;
+  if (condition === 'calibrating') return 'the IMU is being calibrated';
+  return moves && model.stopped(now) ? STOPPED : '';
 }
 
 /** Likewise for a service, for which the ROS master is asked. The page's head has the trouble in full. */

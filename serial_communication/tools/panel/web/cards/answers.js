@@ -48,7 +48,7 @@ const ARROW = /^[^\p{L}\p{N}]+/u;       // before the word of a button
  * @param services as in the controls
  */
 export function describe({name, arguments: values}, services) {
-  if (name === '~speed') return 'STOP';
+  if (name === '~stop') return values.data ? 'STOP' : 'release STOP';
   if (name === '~led') return `LED ${values.text}`;
   const {title, fields} = services[name] ?? {fields: []};
   const known = new Map(fields.map((field) => [field.name, field]));

@@ -19,6 +19,8 @@ const READ_ONLY = [
 
 const CALIBRATE = '~calibrate_imu';
 
+const STOP_ANSWER = 0.5;       // s that the bridge has to answer a STOP
+const STOP_SHOWN = 10;         // s for which a STOP that was not confirmed is shown
 let presses = 0;
 
 export class Commands {
@@ -27,7 +29,10 @@ export class Commands {
     this._connection = connection;
     this._announce = announce;
     this._pending = new Map();      // key -> {name, words, at} of what was requested and not answered
-    this._groups = new Map();       // name of a service or topic -> its buttons
+    this._release = document.getElementById('release');
+    this._release.addEventListener('click', (event) => this._request(event, '~stop',
+      {call: {name: '~stop', arguments: {data: false}}}, 'release STOP'));
+    this._groups = new Map([['~stop', [this._release]]]);   // name of a service or topic -> its buttons
     this._reasons = [];             // [{name, link, isCall, place}]: where the reasons are shown
     this._forms = new Map();        // key -> {shape, element}
     // [setting, link, place, inputs]: where the board's value is shown, and begins to be entered
@@ -38,11 +43,15 @@ export class Commands {
     this.element = card('Commands', '', this._body, this._answers.element);
     this.element.hidden = true;
     this._shape = null;
+    this._stop = {at: -Infinity};   // the latest STOP of this page: its key, and when it was pressed
     connection.addEventListener('lost', () => this._lost());
   }
 
   draw(model, now) {
     this.element.hidden = !model.node;
+    this._release.hidden = !model.controls || !model.stopped(now);
+    this._release.disabled = !this._connection.alive || hasJustAppeared()
+      || this._release.disabledUntil > performance.now();
     const shape = JSON.stringify(model.controls);
     if (shape !== this._shape) {
       this._shape = shape;
@@ -55,7 +64,8 @@ export class Commands {
     const busy = new Set([...this._pending.values()].map((each) => each.name));
     for (const call of model.calls.values()) if (!call.outcome) busy.add(call.name);
     for (const {name, link, isCall, place} of this._reasons) {
-      const reason = (isCall ? whyNoCall : whyNot)(model, this._connection, now, link);
+      const moves = !isCall && name !== '~led';     // a call is answered with the reason
+      const reason = (isCall ? whyNoCall : whyNot)(model, this._connection, now, link, moves);
       updateText(place, reason);
       updateAttribute(place, 'title', reason || null);
       this._groups.get(name).forEach((button) => {
@@ -83,8 +93,19 @@ export class Commands {
     this._addAnswer(request.words, 'refused', words);
   }
 
-  /** Stop the car, whatever the page shows. */
-  stop() { this._send('~speed', {stop: {}}, 'STOP'); }
+  /** Stop all that moves, whatever the page shows. */
+  stop() {
+    this._stop = {at: this._connection.now(), key: this._send('~stop', {stop: {}}, 'STOP')};
+  }
+
+  /** Why the latest STOP of this page may not hold; '' if it is confirmed or long ago. */
+  stopTrouble(model, now) {
+    const age = now - this._stop.at;
+    const call = [...model.calls.values()].find(({key}) => key === this._stop.key);
+    if (call?.outcome === 'done' || age < STOP_ANSWER && !call?.outcome) return '';
+    if (call && !call.outcome) return `STOP: no answer from the bridge for ${formatAge(age)}`;
+    return age > STOP_SHOWN ? '' : `STOP: ${call?.words ?? 'no answer from the panel'}`;
+  }
 
   _settle(model) {
     for (const call of model.calls.values()) {
@@ -123,6 +144,7 @@ export class Commands {
     this._send(name, message, words);
   }
 
+  /** Send a command; return the key of its answer. */
   _send(name, message, words) {
     const key = `${Date.now()}.${presses++}`, at = this._connection.now();
     const [[kind, values]] = Object.entries(message);
@@ -132,14 +154,13 @@ export class Commands {
     } else {
       this._addAnswer(words, 'refused', 'nothing was sent: no connection to the panel');
     }
+    return key;
   }
 
   // -- building ------------------------------------------------------------------------------
 
   _explainReadOnly() {
-    this._forms.clear();
-    this._groups.clear();
-    this._reasons = [];
+    for (const [key, {element}] of this._forms) this._remove(key, element);
     this._body.replaceChildren(...READ_ONLY.map((words) => h('p', {class: 'words'}, words)));
   }
 
@@ -147,6 +168,7 @@ export class Commands {
   _build({services, messages, led_limit: ledLimit}) {
     const wanted = new Map(), plain = new Map();
     for (const [name, each] of Object.entries(services)) {
+      if (name === '~stop') continue;       // its buttons are in the page's head
       if (each.title && !each.fields.length && !each.confirm) {
         if (!plain.has(each.link)) plain.set(each.link, []);
         plain.get(each.link).push([name, each.title]);

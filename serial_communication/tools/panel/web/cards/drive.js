@@ -9,12 +9,11 @@
  */
 import {APPEARED, hasJustAppeared} from '../appeared.js';
 import {card, h, updateAttribute, updateText} from '../dom.js';
-import {whyNot} from '../reasons.js';
+import {STOPPED, whyNot} from '../reasons.js';
 
 const TOPICS = '~speed, ~steering';
 const IDLE = 'hold to drive';
 const EVERY = 50;           // ms between two commands
-const DOUBLE_CLICK = 500;   // ms from a press of the pad to the next, which is not meant to drive
 const SILENCE = 0.3;        // s without an update from the panel, after which the hold ends
 const PANEL_SILENT = `stopped: no update from the panel for ${SILENCE} s`;
 const MIDDLE = 1500;        // µs, the servo straight ahead
@@ -29,13 +28,11 @@ const FIRST_REPEAT = 3000;  // ms from a press to its first repeat, at most; Win
 const NEXT_REPEAT = 1000;   // ms between two repeats, at most; the slowest setting: 500 ms
 
 export class Drive {
-  constructor(connection, announce) {
+  constructor(connection) {
     this.topics = [];
     this._connection = connection;
-    this._announce = announce;
     this._hold = 0;             // number of presses
     this._timer = null;         // while held
-    this._pressedAt = -Infinity;    // the latest press of the pad, ms
     this._pointer = null;       // id of the pointer that pressed it
     this._keys = new Set();     // codes of the keys that are held
     this._repeats = false;      // whether this system is known to repeat keys
@@ -62,13 +59,14 @@ export class Drive {
 
   draw(model, now) {
     this.element.hidden = model.controls === null;
-    const reason = whyNot(model, this._connection, now, 'arduino');
+    const reason = whyNot(model, this._connection, now, 'arduino', true);
     if (reason !== this._reason && !this.held) updateText(this._words, reason || IDLE);
     this._reason = reason;
     if (this.held && this._connection.silence() > SILENCE) this._end(PANEL_SILENT);
+    if (this.held && reason === STOPPED) this._end(STOPPED);
     updateAttribute(this._pad, 'data-held', this.held);
     updateAttribute(this._pad, 'aria-disabled', reason && !this.held ? 'true' : null);
-    updateText(this._note, model.drive.held && this._connection.alive ? 'a page drives' : TOPICS);
+    updateText(this._note, model.drives && this._connection.alive ? 'a page drives' : TOPICS);
   }
 
   /** The panel refused a drive command. */
@@ -80,14 +78,8 @@ export class Drive {
       if (event.button !== 0) return;
       event.preventDefault();
       pad.focus();
-      const isDouble = event.timeStamp - this._pressedAt < DOUBLE_CLICK;
-      this._pressedAt = event.timeStamp;
       if (this.held) {
         this._end('stopped: pressed while a key was held');
-        return;
-      }
-      if (isDouble) {
-        updateText(this._words, 'not driven: a double click; press once, and hold');
         return;
       }
       this._pointer = event.pointerId;
