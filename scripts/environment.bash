@@ -39,7 +39,6 @@ esp    | qemu-system-misc                            |
 view   | rviz python3-rviz ros-robot-state-publisher | ros-noetic-rviz ros-noetic-robot-state-publisher
 view   | xvfb                                        | xvfb
 pictures | imagemagick                               | imagemagick
-api    | python3-sphinx doxygen                      | python3-sphinx doxygen
 END
 }
 

@@ -12,14 +12,11 @@ import pytest
 SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
 PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir()
                   if os.access(str(path), os.X_OK))
-OF_ROS = 'monitor', 'other_program', 'panel', 'release', 'serial_communication_node'
+OF_ROS = 'monitor', 'panel', 'release', 'serial_communication_node'
 WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
     ('avr_board', ('bus', '--link')), ('avr_board', ('--elf',)), ('bench', ('--wrong',)),
-    ('export_library', ()), ('export_library', ('--wrong',)),
-    ('header', ()), ('header', ('--wrong', 'x')), ('header', ('a', 'b', 'c')),
-    ('monitor', ('--wrong',)), ('other_program', ()), ('other_program', ('rviz',)),
-    ('panel', ('--wrong',)), ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')),
+    ('monitor', ('--wrong',)), ('panel', ('--wrong',)), ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')),
     ('ports', ('socket://x',)), ('release', ()), ('release', ('arduino',)),
     ('release', ('arduino', '--wrong', '--', 'true')),
     ('serial_communication_node', ('--wrong',)),
@@ -51,7 +48,6 @@ SAYS = (
     ('demo', '--faults all --ports bus=/dev/ttyS0', '--faults goes with the simulated boards'),
     ('test', 'everything', 'unknown part: everything'),
     ('test', 'ros/nothing', 'no file test/ros/nothing.test'),
-    ('api', '--fast', 'unknown argument: --fast'),
     ('pictures', '--fast', 'unknown argument: --fast'))
 
 
@@ -78,7 +74,7 @@ def test_help_prints_the_usage(name, option, tmp_path):
         assert max(map(len, done.stdout.splitlines())) <= 100
 
 
-@pytest.mark.parametrize('name', ['api', 'avr_board', 'bench', 'demo', 'pictures', 'soak', 'test'])
+@pytest.mark.parametrize('name', ['avr_board', 'bench', 'demo', 'pictures', 'soak', 'test'])
 def test_help_installs_and_builds_nothing_and_touches_no_ros(name, tmp_path):
     checkout = tmp_path / 'checkout'
     for folder in 'scripts', 'test/bench', 'test/campaign', 'test/helpers', 'firmware':
@@ -122,21 +118,13 @@ runpy.run_path(sys.argv[0], run_name='__main__')
 '''
 
 
-@pytest.mark.parametrize('name', ['header', 'monitor', 'panel', 'ports',
-                                  'serial_communication_node', 'simulator'])
+@pytest.mark.parametrize('name', ['monitor', 'panel', 'ports', 'serial_communication_node',
+                                  'simulator'])
 def test_ctrl_c_during_the_imports_prints_no_traceback(name):
     done = subprocess.run([sys.executable, '-c', _CTRL_C, str(SCRIPTS / name)], text=True,
                           timeout=60, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE)
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, '', '')
-
-
-def test_a_missing_package_of_view_launch_is_named_in_one_line():
-    done = run('other_program', 'no_such_package', 'program')
-    assert (done.returncode, done.stdout) == (1, '')
-    assert done.stderr == ('other_program: no_such_package is missing; install it: sudo apt-get '
-                           'install ros-no-such-package (Ubuntu 20.04: ros-noetic-no-such-package)'
-                           '\n')
 
 
 def test_every_program_has_a_case_with_wrong_arguments():
