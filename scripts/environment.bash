@@ -17,12 +17,12 @@ run    | python3-tf2-ros python3-diagnostic-updater  | ros-noetic-tf2-ros ros-no
 run    | python3-dynamic-reconfigure                 | ros-noetic-dynamic-reconfigure
 # With the package.xml by which rosrun finds dynparam:
 run    | libdynamic-reconfigure-config-init-mutex-dev |
-run    | python3-serial socat cmake make g++         | python3-serial socat cmake make g++
+run    | python3-serial cmake make g++               | python3-serial cmake make g++
 panel  | python3-tornado python3-qrcode              | python3-tornado python3-qrcode
 test   | python3-rostest python3-rosbag              | ros-noetic-rostest ros-noetic-rosbag
 test   | python3-pytest python3-hypothesis           | python3-pytest python3-hypothesis
 test   | catkin-lint python3-flake8                  | catkin-lint python3-flake8
-test   | shellcheck libxml2-utils systemd            | shellcheck libxml2-utils systemd
+test   | shellcheck libxml2-utils systemd socat      | shellcheck libxml2-utils systemd socat
 # Ubuntu's mypy is too old.
 test   | mypy                                        |
 bench  | python3-psutil python3-tqdm                 | python3-psutil python3-tqdm

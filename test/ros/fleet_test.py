@@ -195,7 +195,7 @@ class Fleet(unittest.TestCase):
         ports = [each.value for name, each in config.params.items() if name.endswith('/port')]
         self.assertEqual((len(ports), len(set(ports))), (9, 9), ports)
         nodes = [each.namespace + each.name for each in config.nodes]
-        self.assertEqual((len(nodes), len(set(nodes))), (21, 21), nodes)
+        self.assertEqual((len(nodes), len(set(nodes))), (12, 12), nodes)
 
 
 if __name__ == '__main__':

@@ -16,15 +16,13 @@ OF_ROS = 'monitor', 'panel', 'release', 'serial_communication_node'
 WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
     ('avr_board', ('bus', '--link')), ('avr_board', ('--elf',)), ('bench', ('--wrong',)),
-    ('monitor', ('--wrong',)), ('panel', ('--wrong',)), ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')),
-    ('ports', ('socket://x',)), ('release', ()), ('release', ('arduino',)),
-    ('release', ('arduino', '--wrong', '--', 'true')),
+    ('monitor', ('--wrong',)), ('panel', ('--wrong',)), ('ports', ('--wrong',)),
+    ('ports', ('--seconds', '-1')), ('ports', ('socket://x',)), ('release', ()),
+    ('release', ('arduino',)), ('release', ('arduino', '--wrong', '--', 'true')),
     ('serial_communication_node', ('--wrong',)),
     ('serial_communication_node', ('/dev/ttyS0',)), ('serial_communication_node', (':=x',)),
     ('serial_communication_node', ('bus',)), ('simulator', ()),
     ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
-    ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')),
-    ('socat_pair', ('a', 'a')), ('socat_pair', ('a', 'b', 'c')), ('socat_pair', ('a,b', 'c')),
     ('wire', ()), ('wire', ('wheel',)), ('wire', ('listen', 'wheel')),
 )
 # What a script of a checkout says, before any set-up.

@@ -55,7 +55,7 @@ def tty():
 
 
 @pytest.mark.parametrize('arguments, says', [
-    (['--help'], 'socat_pair'), (['bus', '--help'], '--lift-speed'),
+    (['--help'], 'socat'), (['bus', '--help'], '--lift-speed'),
     (['arduino', '--help'], '--calibration-time'), (['mcu', '--help'], '--adc')])
 def test_help_is_printed(arguments, says):
     result = run(*arguments)
@@ -64,7 +64,7 @@ def test_help_is_printed(arguments, says):
 
 @pytest.mark.parametrize('arguments, says', [
     ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], 'has no DESCRIPTION'),
-    (['bus'], '--port'),
+    (['bus', '--port', 'x', '--link', 'y'], 'not allowed'), (['bus', '--port', ''], 'is empty'),
     (['mcu', '--port', 'x', '--faults', 'flip=0.1 flap=1'], 'flap'),
     (['bus', '--port', 'x', '--lift-speed', '0'], 'lift-speed'),
     (['mcu', '--port', 'x', '--rate', 'fast'], 'rate'),

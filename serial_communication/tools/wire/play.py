@@ -78,8 +78,8 @@ def from_bag(path: str, link: str) -> Recorded:
     try:
         import rosbag
     except ImportError:
-        raise WireError(f'{path} is a bag, and rosbag, which reads bags, is missing: source ROS, or '
-                        'sudo apt-get install python3-rosbag') from None
+        raise WireError(f'{path} is a bag, and rosbag, which reads bags, is missing: source ROS, '
+                        'or sudo apt-get install python3-rosbag') from None
     try:
         with rosbag.Bag(path) as bag:
             topics = [name for name, topic in bag.get_type_and_topic_info().topics.items()
