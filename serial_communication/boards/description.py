@@ -58,8 +58,7 @@ class CustomRows(NamedTuple):
 
     parameter: str               # the board's parameter that holds the rows by name
     # read(rows, key) makes them of the rows in the parameter `key`, BOARD/parameter by default;
-    # RowError for the first mistake. Programs use of each what CustomMessage has, too: name, key,
-    # number, layouts and purpose.
+    # RowError for the first mistake. Each has what CustomMessage has, too: name, key and number.
     read: Callable[..., List[Any]]
     prefix: str                  # prefix + the row's name is the name of its topic
 
