@@ -58,8 +58,7 @@ class CustomRows(NamedTuple):
 
     parameter: str               # the board's parameter that holds the rows by name
     # read(rows, key) makes them of the rows in the parameter `key`, BOARD/parameter by default;
-    # RowError for the first mistake. Programs use of each what CustomMessage has, too: name, key,
-    # number, layouts and purpose.
+    # RowError for the first mistake. Each has what CustomMessage has, too: name, key and number.
     read: Callable[..., List[Any]]
     prefix: str                  # prefix + the row's name is the name of its topic
 
@@ -70,7 +69,6 @@ class Numbering(enum.Enum):
     NOTHING = 'nothing'
     FUNCTION = 'function'    # the requested function. The board only replies, once to each request;
     #                          the decoder of replies has explain(frame, request)
-    SEQUENCE = 'sequence'    # a running number, modulo 256
 
 
 class Heartbeat(NamedTuple):
@@ -106,7 +104,6 @@ class Description:
     baud: int = 115200               # of the port, if its parameters have none: see `baud_of`
     # Bytes that end a frame, are never inside one, and may also separate two frames.
     between: bytes = b''
-    first_after_loss: bytes = b''    # has to be sent first after some output was dropped
     # s of silence after something was sent, after which a network port is closed and opened again,
     # since the data may still wait in the network; 0: never.
     network_silence: float = 0.0

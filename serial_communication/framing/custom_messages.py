@@ -58,16 +58,6 @@ class CustomMessage(NamedTuple):
         """The key of its number on the wire, and that number."""
         return 'type', self.kind.TYPE
 
-    @property
-    def layouts(self) -> Dict[str, Layout]:
-        """Its one layout, without a name."""
-        return {'': self.kind.LAYOUT}
-
-    @property
-    def purpose(self) -> str:
-        """What it is for, in a few words."""
-        return f'{"to" if self.is_command else "from"} the board: {self.ros_type}'
-
 
 def meaning(row: Any) -> Tuple:
     """What a custom message or function is, for comparisons: all but the parameter it is from."""

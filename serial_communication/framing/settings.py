@@ -39,16 +39,6 @@ class Setting(NamedTuple):
         return KEY, self.setting
 
     @property
-    def layouts(self) -> Dict[str, Layout]:
-        """Its one layout, without a name."""
-        return {'': self.layout}
-
-    @property
-    def purpose(self) -> str:
-        """What it is for, in a few words."""
-        return f'setting: {self.description}' if self.description else 'setting'
-
-    @property
     def custom(self) -> 'Setting':
         """Itself: see `AnnouncedRows`."""
         return self

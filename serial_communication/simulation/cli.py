@@ -20,6 +20,7 @@ from . import faults
 from .board import Board, Runner, positive
 from .custom_messages import add_options, announced_text
 from .journal import Journal
+from .own_pty import OwnPty
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _BURST, _RATE = 20, 2.0      # printed lines: in a burst, and per second after that
@@ -27,13 +28,16 @@ _LONGEST = 150               # characters of a line
 
 _EXAMPLES = """\
 examples (each with  rosrun serial_communication  before it, or in a checkout with  scripts/):
-  socat_pair /tmp/ttyV0 /tmp/ttyV1 &            two linked ports, the first for the bridge
+  simulator bus --link /tmp/bus                 /tmp/bus is the bridge's port
+  simulator bus --link /tmp/bus --fault late=0.05 --fault reset=1/min
+  simulator arduino --link /tmp/car --calibration-time 60
+  simulator mcu --link /tmp/mcu --adc --rate 50 --journal mcu.jsonl
+  simulator arduino --link /tmp/car --fault all --seed 7
+  simulator my_package --link /tmp/mine         a board of another package: see doc/developing.md
+
+On a port that is there already, here one end of a pair of linked ports:
+  socat pty,raw,echo=0,link=/tmp/ttyV0 pty,raw,echo=0,link=/tmp/ttyV1 &
   simulator bus --port /tmp/ttyV1
-  simulator bus --port /tmp/ttyV1 --fault late=0.05 --fault reset=1/min
-  simulator arduino --port /tmp/ttyV3 --calibration-time 60
-  simulator mcu --port /tmp/ttyV5 --adc --rate 50 --journal mcu.jsonl
-  simulator arduino --port /tmp/ttyV3 --fault all --seed 7
-  simulator my_package --port /tmp/ttyV7        a board of another package: see doc/developing.md
 
 It waits for a port that is absent, and opens it again if it vanishes. Ctrl-C ends it.
 """
@@ -51,10 +55,14 @@ def main(arguments: Optional[List[str]] = None) -> int:
         return 1
     # Threads inherit the mask, so only sigwait below receives these signals.
     signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
+    try:
+        port = Port(options.port, options.baud) if options.port else OwnPty(options.link)
+    except OSError as error:
+        print(f'link {options.link}: {error.strerror}', file=sys.stderr)
+        return 1
     board_faults = faults.Faults(options.rates, options.seed)
     board = options.board_class.from_options(options)
-    runner = Runner(board, Port(options.port, options.baud), say, board.MEASURES_PACE,
-                    faults=board_faults, journal=journal,
+    runner = Runner(board, port, say, board.MEASURES_PACE, faults=board_faults, journal=journal,
                     baud=options.baud if options.baud_pace else 0)
     rates = {name: str(rate) for name, rate in options.rates.items()}
     if rates:
@@ -62,17 +70,21 @@ def main(arguments: Optional[List[str]] = None) -> int:
             + ' '.join(f'{name}={rate}' for name, rate in rates.items()))
     if journal:
         journal.write(time.monotonic(), 'start', {
-            'board': options.board, 'port': options.port, 'pid': os.getpid(),
+            'board': options.board, 'port': port.url, 'pid': os.getpid(),
             'seed': options.seed, 'faults': rates})
     status: List[int] = []
     thread = threading.Thread(target=_run, args=(runner, status), name='board', daemon=True)
     thread.start()
+    if isinstance(port, OwnPty):
+        say(f'{port.url}: waiting for a program that opens it')
     if options.duration:
         signal.sigtimedwait(_STOPS, options.duration)
     else:
         signal.sigwait(_STOPS)
     runner.stop()
     thread.join(1.0)
+    if isinstance(port, OwnPty):
+        port.remove()
     if journal:
         journal.write(time.monotonic(), 'end', {'frames': runner.line.frames,
                                                 'faults': board_faults.counts})
@@ -186,8 +198,11 @@ def _add(boards: Any, name: str, described: Description) -> None:
         name, help=board.SUMMARY, formatter_class=argparse.RawDescriptionHelpFormatter,
         description=module.__doc__, epilog=_fault_help(board))
     parser.set_defaults(board_class=board)
-    parser.add_argument('--port', required=True, type=_port,
-                        help='a device or a URL that pyserial opens')
+    port = parser.add_mutually_exclusive_group()
+    port.add_argument('--link', default='', metavar='PATH',
+                      help='a link to the pseudo terminal that it makes, for the bridge')
+    port.add_argument('--port', type=_port,
+                      help='use this device or URL that pyserial opens, and make none')
     parser.add_argument('--baud', type=int, help=f'(that of --config, or {described.baud})')
     parser.add_argument('--baud-pace', action='store_true',
                         help='send no faster than --baud; a pseudo terminal has no speed itself')

@@ -8,7 +8,6 @@ import subprocess
 
 import pytest
 
-from serial_communication.tools.header import cpp
 from emulated_board import FIRMWARE
 from compilers import (CORE, HERE, ON_THE_AVR, ON_THE_ESP, PROTOCOL, STRICT, STUBS,
                        check, run)
@@ -121,40 +120,11 @@ def test_a_sketch_may_have_names_that_the_headers_use_inside(tmp_path):
     check(ON_THE_AVR, str(source))
 
 
-def test_the_library_is_exported_as_a_repository_of_its_own(tmp_path):
-    root = os.path.join(FIRMWARE, os.pardir)
-
-    def git(folder, *arguments):
-        return subprocess.run(['git', '-C', str(folder), *arguments], check=True,
-                              stdout=subprocess.PIPE, universal_newlines=True).stdout
-    if subprocess.run(['git', '-C', root, 'rev-parse', 'HEAD'], stdout=subprocess.DEVNULL,
-                      stderr=subprocess.DEVNULL).returncode:
-        pytest.skip('this is no git checkout')
-    program, target = os.path.join(root, 'scripts', 'export_library'), tmp_path / 'library'
-    subprocess.run([program, str(target)], check=True, stdout=subprocess.DEVNULL)
-    names = git(target, 'ls-tree', '-r', '--name-only', 'HEAD').split()
-    assert names == git(root, 'ls-tree', '-r', '--name-only', 'HEAD:firmware/protocol').split()
-    assert git(target, 'rev-parse', 'HEAD^{tree}') == git(
-        root, 'rev-parse', 'HEAD:firmware/protocol')
-    assert git(target, 'status', '--porcelain') == '' and git(target, 'remote') == ''
-    assert git(target, 'tag').split() == [re.search(
-        '^version=(.*)', git(target, 'show', 'HEAD:library.properties'), re.M).group(1)]
-    assert int(git(target, 'rev-list', '--count', 'HEAD')) > 1
-    for arguments, status in (([str(target)], 1), ([], 2), (['--wrong'], 2)):
-        assert subprocess.run([program, *arguments], stderr=subprocess.DEVNULL).returncode == status
-
-
 def keywords():
     lines = [line for line in read(LIBRARY + '/keywords.txt').splitlines()
              if line and not line.startswith('#')]
     assert all(re.match(r'\w+\t(KEYWORD[12]|LITERAL1)$', line) for line in lines)
     return [line.split('\t')[0] for line in lines]
-
-
-def test_no_row_gets_the_name_of_a_class_of_the_library():
-    classes = {line.split('\t')[0] for line in read(LIBRARY + '/keywords.txt').splitlines()
-               if line.endswith('\tKEYWORD1')} - {'PACKED'}
-    assert classes <= cpp._CLASSES
 
 
 def test_keywords_are_in_the_headers():

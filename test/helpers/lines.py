@@ -29,8 +29,10 @@ class Line:
 
     def plug(self):
         """Connect both ends."""
+        for path in self.near, self.far:
+            os.makedirs(os.path.dirname(path), exist_ok=True)
         self._process = subprocess.Popen(
-            [os.path.join(ROOT, 'scripts', 'socat_pair'), self.near, self.far],
+            ['socat', *(f'pty,raw,echo=0,link={path}' for path in (self.near, self.far))],
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         until(lambda: os.path.exists(self.near) and os.path.exists(self.far),
               'socat makes %s' % self.near)

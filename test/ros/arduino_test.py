@@ -12,8 +12,8 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Empty
 
 from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Diagnostics, Rosout,
-                    Topic, again_if_stalled, calibrates, command_topic, level_imu, service, stamped,
-                    until, values_of)
+                    Topic, again_if_stalled, calibrates, command_topic, level_imu, plug, service,
+                    stamped, until, values_of)
 from serial_communication.framing.announcement import chunks_of
 from serial_communication.link.outcome import Verdict
 from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
@@ -30,6 +30,7 @@ def setUpModule():
     """Start the boards, and record the log."""
     global BOARDS, ROSOUT
     line = rospy.get_param('~line')
+    plug(line, line + '_tuned')
     BOARDS = {PACKAGE: CarBoard(line + '_board'), 'tuned': CarBoard(line + '_tuned_board')}
     ROSOUT = Rosout()
 

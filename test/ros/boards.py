@@ -2,6 +2,7 @@
 
 The fake boards, with which tests check exact bytes, and the lines are in test/helpers.
 """
+import atexit
 import os
 import re
 import shutil
@@ -52,6 +53,12 @@ def program(name):
 def own_folder():
     """A new folder for ports; its path is short, since socket names are limited."""
     return tempfile.mkdtemp(prefix='rostest_')
+
+
+def plug(*ports):
+    """Connect the ports of the bridges in a .test file with those of the boards, until the end."""
+    for port in ports:
+        atexit.register(Line(port).plug().unplug)
 
 
 class Bridge:

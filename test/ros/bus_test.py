@@ -10,7 +10,7 @@ from sensor_msgs.msg import RelativeHumidity, Temperature
 from std_srvs.srv import Trigger
 
 from boards import (AIR, NOT_SENT, PACKAGE, SYNC_FRAME, TIMEOUT, BusBoard, Topic, Waiter,
-                    again_if_stalled, service, settle, stamped, until)
+                    again_if_stalled, plug, service, settle, stamped, until)
 from serial_communication.msg import Environment
 from serial_communication.boards.bus import wire as bus
 from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal,
@@ -24,6 +24,7 @@ def setUpModule():
     """The boards of the nodes."""
     global BOARDS
     line = rospy.get_param('~line')
+    plug(line, line + '_strict')
     BOARDS = {PACKAGE: BusBoard(line + '_board'),
               'strict': BusBoard(line + '_strict_board', has_cmd2=True, polled=True)}
 

@@ -28,8 +28,8 @@ from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 
 from boards import (NOT_SENT, PACKAGE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
-                    SensorBoard, Topic, Waiter, again_if_stalled, level_imu, service, until,
-                    until_in_step)
+                    SensorBoard, Topic, Waiter, again_if_stalled, level_imu, plug, service,
+                    until, until_in_step)
 from serial_communication.link.outcome import Verdict
 from serial_communication.msg import SerialMsg
 from serial_communication.framing import announcement, cobs
@@ -77,6 +77,7 @@ def setUpModule():
     """Start the boards, which all tests share, and record the log."""
     global CAR, SENSORS, BOARD, ROSOUT, DIAGNOSTICS
     line = rospy.get_param('~line')
+    plug(line + '_bus', line + '_arduino', line + '_mcu')
     CAR = RecordingCar(line + '_arduino_board')
     SENSORS = SensorBoard(line + '_mcu_board')
     BOARD = AnsweringBoard(line + '_bus_board')

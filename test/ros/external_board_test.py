@@ -1,6 +1,5 @@
 #!/usr/bin/python3
 """The board of another package from doc/developing.md, built from the page, with every program."""
-import json
 import os
 import re
 import shutil
@@ -144,28 +143,21 @@ class ExternalBoard(unittest.TestCase):
 
     def test_its_frames_are_explained_by_the_name_of_the_link_and_of_the_package(self):
         status, output = self.run_program('wire', 'explain', 'wind', '--config', self.config,
-                                          '--json', GUST.hex())
+                                          GUST.hex())
         self.assertEqual(status, 0, output)
-        frame, = json.loads(output)['frames']
-        self.assertEqual((frame['text'], [part['name'] for part in frame['parts']]), (TEXT, PARTS))
+        self.assertIn(TEXT, output)
+        self.assertEqual(re.findall(r'(?m)^  (?:[0-9a-f]{2} )+ +([a-z]+)', output), PARTS)
         status, output = self.run_program('wire', 'explain', 'wind_sensor', GUST.hex()[:-8])
         self.assertEqual(status, 1)
         self.assertIn('incomplete', output)
 
-    def test_its_line_is_listened_to_and_what_is_kept_has_statistics(self):
-        kept = os.path.join(self.folder, 'kept.txt')
+    def test_its_line_is_listened_to(self):
         line = Line(os.path.join(self.folder, 'listened')).plug()
         self.addCleanup(line.unplug)
-        listener = self.start('wire', 'listen', 'wind', line.near, '--config', self.config,
-                              '--json', '--raw', kept)
+        listener = self.start('wire', 'listen', 'wind', line.near, '--config', self.config)
         until(lambda: TEXT in listener.output(), 'a sentence is shown',
               doing=lambda: self.say(GUST, line), every=0.1)
         self.assertEqual(listener.end(), 0)
-        status, output = self.run_program('wire', 'stats', kept, '--config', self.config, '--json')
-        self.assertEqual(status, 0, output)
-        received = json.loads(output)['links']['wind']['from the board']
-        self.assertGreaterEqual(received['frames'], 1)
-        self.assertEqual(received['invalid'], 0)
 
 
 if __name__ == '__main__':

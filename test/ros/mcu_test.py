@@ -8,8 +8,8 @@ import rospy
 import rostest
 from sensor_msgs.msg import Imu, Range
 
-from boards import (PACKAGE, Diagnostics, Rosout, SensorBoard, Topic, ranges, stamped, until,
-                    values_of)
+from boards import (PACKAGE, Diagnostics, Rosout, SensorBoard, Topic, plug, ranges, stamped,
+                    until, values_of)
 from serial_communication.msg import McuStatus, McuStatus2
 from serial_communication.boards.mcu import wire as mcu
 
@@ -23,6 +23,7 @@ def setUpModule():
     """The boards."""
     global BOARDS
     line = rospy.get_param('~line')
+    plug(line, line + '_other')
     BOARDS = {'': SensorBoard(line + '_board'), '/other': SensorBoard(line + '_other_board')}
 
 

@@ -15,7 +15,8 @@ from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from boards import (PACKAGE, TIMEOUT, BusBoard, CarBoard, Rosout, SensorBoard, Topic,
-                    again_if_stalled, command_topic, level_imu, ranges, service, settle, until)
+                    again_if_stalled, command_topic, level_imu, plug, ranges, service, settle,
+                    until)
 from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand, SteeringFeedback,
                                       Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
@@ -28,6 +29,7 @@ def setUpModule():
     """The three boards."""
     global BUS, CAR, SENSORS
     line = rospy.get_param('~line')
+    plug(line + '_bus', line + '_arduino', line + '_mcu')
     BUS, CAR, SENSORS = (BusBoard(line + '_bus_board', polled=True),
                          CarBoard(line + '_arduino_board'), SensorBoard(line + '_mcu_board'))
     BUS.air = bus.Environment(1, 2.0, 3.0)

@@ -8,7 +8,8 @@ import rostest
 from sensor_msgs.msg import Imu, Range, Temperature
 from tf2_msgs.msg import TFMessage
 
-from boards import PACKAGE, CarBoard, SensorBoard, Topic, ranges, stamped, until, values_of
+from boards import (PACKAGE, CarBoard, SensorBoard, Topic, plug, ranges, stamped, until,
+                    values_of)
 from serial_communication.boards.arduino import wire as arduino
 
 HALF = sqrt(0.5)
@@ -18,6 +19,8 @@ def setUpModule():
     """The boards of three bridges."""
     global CAR, SENSORS, STILL, PREFIXED_CAR, PREFIXED_SENSORS
     line = rospy.get_param('~line')
+    plug(line + '_arduino', line + '_mcu', line + '_still', line + '_prefixed_arduino',
+         line + '_prefixed_mcu')
     CAR, SENSORS = CarBoard(line + '_arduino_board'), SensorBoard(line + '_mcu_board')
     STILL = CarBoard(line + '_still_board')
     PREFIXED_CAR = CarBoard(line + '_prefixed_arduino_board')

@@ -10,22 +10,17 @@ import pytest
 SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
 PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir()
                   if os.access(str(path), os.X_OK))
-OF_ROS = 'monitor', 'other_program', 'panel', 'release', 'serial_communication_node'
+OF_ROS = 'monitor', 'panel', 'release', 'serial_communication_node'
 WRONG = (
     ('avr_board', ()), ('avr_board', ('wheel',)), ('avr_board', ('bus', '--wrong')),
     ('avr_board', ('bus', '--link')), ('avr_board', ('--elf',)), ('bench', ('--wrong',)),
-    ('export_library', ()), ('export_library', ('--wrong',)),
-    ('header', ()), ('header', ('--wrong', 'x')), ('header', ('a', 'b', 'c')),
-    ('monitor', ('--wrong',)), ('other_program', ()), ('other_program', ('rviz',)),
-    ('panel', ('--wrong',)), ('ports', ('--wrong',)), ('ports', ('--seconds', '-1')),
-    ('ports', ('socket://x',)), ('release', ()), ('release', ('arduino',)),
-    ('release', ('arduino', '--wrong', '--', 'true')),
+    ('monitor', ('--wrong',)), ('panel', ('--wrong',)), ('ports', ('--wrong',)),
+    ('ports', ('--seconds', '-1')), ('ports', ('socket://x',)), ('release', ()),
+    ('release', ('arduino',)), ('release', ('arduino', '--wrong', '--', 'true')),
     ('serial_communication_node', ('--wrong',)),
     ('serial_communication_node', ('/dev/ttyS0',)), ('serial_communication_node', (':=x',)),
     ('serial_communication_node', ('bus',)), ('simulator', ()),
     ('simulator', ('wheel',)), ('simulator', ('bus', '--wrong')), ('soak', ('--wrong',)),
-    ('socat_pair', ()), ('socat_pair', ('a',)), ('socat_pair', ('--wrong', 'a')),
-    ('socat_pair', ('a', 'a')), ('socat_pair', ('a', 'b', 'c')), ('socat_pair', ('a,b', 'c')),
     ('wire', ()), ('wire', ('wheel',)), ('wire', ('listen', 'wheel')),
 )
 # What a script of a checkout says, before any set-up.
@@ -49,7 +44,6 @@ SAYS = (
     ('demo', '--faults all --ports bus=/dev/ttyS0', '--faults goes with the simulated boards'),
     ('test', 'everything', 'unknown part: everything'),
     ('test', 'ros/nothing', 'no file test/ros/nothing.test'),
-    ('api', '--fast', 'unknown argument: --fast'),
     ('pictures', '--fast', 'unknown argument: --fast'))
 
 
@@ -76,7 +70,7 @@ def test_help_prints_the_usage(name, option, tmp_path):
         assert max(map(len, done.stdout.splitlines())) <= 100
 
 
-@pytest.mark.parametrize('name', ['api', 'avr_board', 'bench', 'demo', 'pictures', 'soak', 'test'])
+@pytest.mark.parametrize('name', ['avr_board', 'bench', 'demo', 'pictures', 'soak', 'test'])
 def test_help_installs_and_builds_nothing_and_touches_no_ros(name, tmp_path):
     checkout = tmp_path / 'checkout'
     for folder in 'scripts', 'test/bench', 'test/campaign', 'test/helpers', 'firmware':
@@ -105,11 +99,3 @@ def test_wrong_arguments_of_a_script_are_two_lines_before_any_set_up(name, argum
     done = run(name, *shlex.split(arguments))
     assert done.returncode == 2 and words in done.stderr and not done.stdout
     assert done.stderr.startswith(name + ': ') and len(done.stderr.splitlines()) == 2
-
-
-def test_a_missing_package_of_view_launch_is_named_in_one_line():
-    done = run('other_program', 'no_such_package', 'program')
-    assert (done.returncode, done.stdout) == (1, '')
-    assert done.stderr == ('other_program: no_such_package is missing; install it: sudo apt-get '
-                           'install ros-no-such-package (Ubuntu 20.04: ros-noetic-no-such-package)'
-                           '\n')

@@ -56,7 +56,7 @@ def tty():
 
 @pytest.mark.parametrize('arguments, says', [
     ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], 'has no DESCRIPTION'),
-    (['bus'], '--port'),
+    (['bus', '--port', 'x', '--link', 'y'], 'not allowed'), (['bus', '--port', ''], 'is empty'),
     (['mcu', '--port', 'x', '--faults', 'flip=0.1 flap=1'], 'flap'),
     (['bus', '--port', 'x', '--lift-speed', '0'], 'lift-speed'),
     (['mcu', '--port', 'x', '--rate', 'fast'], 'rate'),

@@ -100,7 +100,7 @@ def test_robot_programs_are_installed():
     """The programs for a robot are installed; programs of a checkout are not."""
     cmake = (ROOT / 'CMakeLists.txt').read_text()
     programs = {path.name for path in (ROOT / 'scripts').iterdir() if os.access(path, os.X_OK)}
-    own = {'api', 'bench', 'demo', 'export_library', 'pictures', 'soak', 'test'}
+    own = {'bench', 'demo', 'pictures', 'soak', 'test'}
     assert programs - own == set(
         re.findall(r'^    scripts/(\S+)$', cmake, re.MULTILINE))
 

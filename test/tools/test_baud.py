@@ -47,7 +47,7 @@ def test_a_program_opens_the_port_at_the_rate_of_the_parameters(
     path = os.ttyname(far)
     arguments = ['listen', board, path] if program == 'wire' else [board, '--port', path]
     process = subprocess.Popen([sys.executable, f'{ROOT}/scripts/{program}', *arguments,
-                                '--config', str(folder / 'config.yaml'), '--duration', '30'],
+                                '--config', str(folder / 'config.yaml')],
                                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         assert any(f'{path}: open' in line for line in process.stdout)

@@ -1,4 +1,4 @@
-"""The program `ports`, on pseudo terminals with simple boards: what it finds and writes."""
+"""The program `ports`, on pseudo terminals with simple boards: what it finds."""
 import getpass
 import itertools
 import json
@@ -20,10 +20,8 @@ import crane_scale
 from serial_communication.boards import description
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.config_file import read_parameters
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.tools.ports import advice, cli, configuration, report
-from serial_communication.tools.ports.configuration import Connection
+from serial_communication.tools.ports import advice, cli, report
 from serial_communication.tools.ports.devices import Device
 from serial_communication.tools.ports.holders import Holder, holders_of
 from serial_communication.tools.ports.listening import Candidate, Received
@@ -108,6 +106,11 @@ def run(*arguments):
                               [HERE, os.environ.get('PYTHONPATH', '')])}, timeout=100)
 
 
+def to_paste(text):
+    """The configuration that the last lines are."""
+    return yaml.safe_load(text.partition('\nPut into a configuration (')[2].partition('\n')[2])
+
+
 def found(*arguments):
     """The objects that it prints with --json, by the name of the port."""
     done = run('--json', *arguments)
@@ -125,8 +128,8 @@ def test_boards_are_found_and_nothing_is_written(board, tmp_path):
     assert f'{boards[3].path}  bytes of no known board, at no usual baud rate\n' in done.stdout
     assert "(text: 'boot: ok" in done.stdout and 'there is no such device' in done.stdout
     assert 'board is silent until it is asked: run this again with --ask\n' in done.stdout
-    assert (f'bridge.launch arduino_port:={boards[1].path} mcu_port:={boards[0].path}\n'
-            in done.stdout)
+    assert to_paste(done.stdout) == {'arduino': {'port': boards[1].path, 'baud': 115200},
+                                     'mcu': {'port': boards[0].path, 'baud': 115200}}
 
 
 def test_only_silent_ports_are_asked_and_only_for_a_sync(board, tmp_path):
@@ -154,17 +157,14 @@ def test_another_baud_rate_is_found(board, tmp_path, data, name, baud, configure
     text = run('--config', config, '--ask', path).stdout
     assert f'{name} ({description(name).title})' in text
     assert (f', at {baud} baud' in text) == (baud != 115200)
-    assert (f'{name}_port:={path}' in text) == (str(baud) == configured)
+    assert to_paste(text) == {name: {'port': path, 'baud': baud}}
 
 
 def test_a_board_of_another_package_is_found(board, tmp_path):
-    config, written = tmp_path / 'base.yaml', tmp_path / 'new.yaml'
+    config = tmp_path / 'base.yaml'
     config.write_text('boards: [crane_scale]\n')
     path = board('port', SCALE, baud=9600).path
-    assert run('--config', config, path, '--write', written).returncode == 0
-    assert read_parameters(str(written)) == {
-        'boards': ['crane_scale'], 'scale': {'port': path, 'baud': 9600},
-        **{name: {'port': ''} for name in ('bus', 'arduino', 'mcu')}}
+    assert to_paste(run('--config', config, path).stdout) == {'scale': {'port': path, 'baud': 9600}}
 
 
 def test_custom_messages_alone_are_enough_to_find_a_board(board, tmp_path):
@@ -173,7 +173,7 @@ def test_custom_messages_alone_are_enough_to_find_a_board(board, tmp_path):
                       'layout: "<h", fields: [data]}}}')
     path = board('port', arduino.encode_raw(32, b'\1\2')).path
     assert 'sends only custom messages' in run(path).stdout
-    assert f'arduino_port:={path} config:={config}\n' in run('--config', config, path).stdout
+    assert 'arduino' in to_paste(run('--config', config, path).stdout)
 
 
 _READER = '''
@@ -207,98 +207,7 @@ def test_a_port_that_another_program_has_open_is_named_and_not_touched(board, tm
     assert holders_of(port.path) == []
 
 
-def test_a_written_configuration_has_the_ports_and_all_else_of_the_base(board, tmp_path):
-    boards = [board('one', CAR), board('two', MCU, baud=57600)]
-    path = tmp_path / 'robot.yaml'
-    path.write_text('old: text\n')
-    done = run(*(each.path for each in boards), '--write', path)
-    assert done.returncode == 0, done.stderr
-    expected = read_parameters(os.path.join(ROOT, 'config', 'bridge.yaml'))
-    expected['bus']['port'] = ''
-    expected['arduino']['port'] = boards[0].path
-    expected['mcu'].update(port=boards[1].path, baud=57600)
-    assert read_parameters(str(path)) == expected
-    assert f'config:={path}' in done.stderr
-    assert (tmp_path / 'robot.yaml~').read_text() == 'old: text\n' and 'robot.yaml~' in done.stderr
-    assert not (tmp_path / 'robot.yaml.new').exists()
-    comments = (ROOT + '/config/bridge.yaml', str(path))
-    assert len({open(each).read().count('#') for each in comments}) == 1
-
-
-def test_nothing_is_written_if_no_board_is_found(board, tmp_path):
-    path = tmp_path / 'robot.yaml'
-    done = run(board('one').path, '--write', path)
-    assert (done.returncode, done.stderr) == (
-        1, f'ports: {path} is not written: no board was found\n')
-    assert not path.exists()
-
-
 # -- its parts, without a port ------------------------------------------------------------------
-
-
-@pytest.mark.parametrize('text, name, expected', [
-    ('mcu:   # a board\n  port: /dev/x  # where\n  baud: 9600\n', 'mcu',
-     'mcu:   # a board\n  port: /dev/new  # where\n  baud: 57600\n'),
-    ('mcu:\n  timeout: 2.0\n', 'mcu',
-     'mcu:\n  baud: 57600\n  port: /dev/new\n  timeout: 2.0\n'),
-    ('bus:\n  port: ""\n\n# the last\nmcu:\n  port: "a#b"\n  report: 1\n', 'mcu',
-     'bus:\n  port: ""\n\n# the last\nmcu:\n  baud: 57600\n  port: /dev/new\n  report: 1\n'),
-    ('frame_timeout: 0.1', 'mcu',
-     'frame_timeout: 0.1\n\nmcu:\n  baud: 57600\n  port: /dev/new\n'),
-])
-def test_only_port_and_baud_of_a_configuration_change(tmp_path, text, name, expected):
-    base, path = tmp_path / 'base.yaml', tmp_path / 'new.yaml'
-    base.write_text(text)
-    configuration.write(str(path), str(base), [name], {name: Connection('/dev/new', 57600)})
-    assert path.read_text() == expected
-    assert yaml.safe_load(expected)[name]['port'] == '/dev/new'
-
-
-def test_what_was_there_before_is_kept_each_time(tmp_path):
-    base, path = tmp_path / 'base.yaml', tmp_path / 'new.yaml'
-    base.write_text('mcu:\n  port: /dev/x\n')
-    for number, kept in enumerate(['new.yaml~', 'new.yaml~1', 'new.yaml~2']):
-        path.write_text(f'version {number}')
-        assert configuration.write(str(path), str(base), ['mcu'], {}) == str(tmp_path / kept)
-    assert [(tmp_path / f'new.yaml~{number}').read_text() for number in ('', '1', '2')] == [
-        'version 0', 'version 1', 'version 2']
-
-
-def test_what_is_no_regular_file_is_not_replaced(tmp_path):
-    base = tmp_path / 'base.yaml'
-    base.write_text('mcu:\n  port: /dev/x\n')
-    (tmp_path / 'folder').mkdir()
-    (tmp_path / 'folder' / 'file').write_text('in it')
-    os.mkfifo(str(tmp_path / 'fifo'))
-    (tmp_path / 'device').symlink_to('/dev/full')
-    (tmp_path / 'link').symlink_to(tmp_path / 'folder')
-    before = sorted(os.listdir(str(tmp_path)))
-    for name in 'folder', 'fifo', 'device', 'link':
-        path = str(tmp_path / name)
-        with pytest.raises(configuration.WriteError,
-                           match=f'^{path} is not written: it is not a regular file$'):
-            configuration.write(path, str(base), ['mcu'], {})
-    assert sorted(os.listdir(str(tmp_path))) == before
-
-
-def test_a_file_that_is_called_like_the_new_one_is_left_alone(tmp_path):
-    base, path, other = tmp_path / 'base.yaml', tmp_path / 'new.yaml', tmp_path / 'new.yaml.new'
-    base.write_text('mcu:\n  port: /dev/x\n')
-    other.write_text('mine')
-    with pytest.raises(configuration.WriteError, match=f'^{other}: File exists$'):
-        configuration.write(str(path), str(base), ['mcu'], {})
-    assert other.read_text() == 'mine' and not path.exists()
-
-
-@pytest.mark.parametrize('text', ['mcu: {port: /dev/x}\n', '"mcu":\n  port: /dev/x\n', '- 1\n'])
-def test_a_configuration_that_cannot_be_changed_is_left_alone(tmp_path, text):
-    base, path = tmp_path / 'base.yaml', tmp_path / 'new.yaml'
-    base.write_text(text)
-    path.write_text('before')
-    with pytest.raises(configuration.WriteError, match='^' + str(base)):
-        configuration.write(str(path), str(base), ['mcu'], {'mcu': Connection('/dev/new', 9600)})
-    assert path.read_text() == 'before'
-    assert sorted(each.name for each in tmp_path.iterdir()) == ['base.yaml', 'new.yaml']
 
 
 BOARDS = {name: Candidate(description(name), {}) for name in ('bus', 'arduino', 'mcu')}
@@ -311,8 +220,8 @@ CLONES = [Found(Device(f'/dev/ttyUSB{number}', '/dev/serial/by-id/usb-1a86_USB_S
 def test_adapters_without_a_serial_number_are_named_by_their_socket():
     text = report.as_text(CLONES, BOARDS, 2.0, False, '')
     assert text.count('the same for every adapter of this kind') == 2
-    assert ('arduino_port:=/dev/serial/by-path/pci-0 mcu_port:=/dev/serial/by-path/pci-1'
-            in text)
+    assert {name: each['port'] for name, each in to_paste(text).items()} == {
+        'arduino': '/dev/serial/by-path/pci-0', 'mcu': '/dev/serial/by-path/pci-1'}
     assert 'USB Serial (1a86:7523)' in text
     same = [CLONES[0], CLONES[1]._replace(heard=CLONES[0].heard)]
     assert ('note: arduino is on several ports; the first is taken: /dev/serial/by-path/pci-0'

@@ -1,5 +1,4 @@
 """wire explain: the values of every vector, and damaged bytes."""
-import json
 import re
 import struct
 import subprocess
@@ -12,13 +11,10 @@ from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing import cobs
 from serial_communication.framing.announcement import TYPE, chunks_of
-from serial_communication.framing.stream import UNKNOWN
 from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NotHex
-from serial_communication.tools.wire.recording import (Read, Recording, frames_of,
-                                                       learned_from)
 from waiting import PATIENCE
-from wire_lines import LINKS, ROOT, as_bag, damaged_reads, settings, vectors
+from wire_lines import LINKS, ROOT, damaged_stream, settings, vectors
 
 PROGRAM = [sys.executable, ROOT + '/scripts/wire', 'explain']
 TO_ARDUINO = (4, 5, 6, 11, 12)      # message types that only a computer sends
@@ -130,13 +126,13 @@ def is_complete(data, found, link):
 def test_a_damaged_stream_is_explained_with_all_its_bytes(link):
     """For the parts of any bytes as one frame, see boards/test_explain."""
     for seed in range(20):
-        data = b''.join(read.data for read in damaged_reads(link, seed, 40))
+        data = damaged_stream(link, seed, 40)
         found = explain.explain(data, settings(link))
         assert is_complete(data, found, link)
         invalid = [each for each in found if each.frame.cause]
         assert invalid and all(each.trouble for each in invalid)
         for each in found:
-            assert '\n' not in each.trouble and json.dumps(explain.as_dict(each), allow_nan=False)
+            assert '\n' not in each.trouble
 
 
 @pytest.mark.parametrize('link', LINKS)
@@ -220,35 +216,13 @@ def test_settings_that_a_board_announces_are_known_in_both_directions():
     assert value_of(each, 'ramp') == 100 and str(each.frame.message) == 'setting number=2 ramp=100'
 
 
-def announced_on_the_bus():
-    """Requests for an announcement with their replies, as (sent, frame)."""
-    return [each for chunk in chunks_of(PUMP, 20) for each in (
-        (True, bus.encode_request(bus.Request(bus.FUNCTION, TYPE, bytes([chunk.index])))),
-        (False, bus.encode_reply(bus.Reply(bus.OK, chunk.pack()))))]
-
-
 def test_functions_that_the_bus_board_announces_are_known():
-    frames = b''.join(frame for _, frame in announced_on_the_bus())
+    frames = b''.join(
+        bus.encode_request(bus.Request(bus.FUNCTION, TYPE, bytes([chunk.index])))
+        + bus.encode_reply(bus.Reply(bus.OK, chunk.pack())) for chunk in chunks_of(PUMP, 20))
     pump = bus.encode_request(bus.Request(bus.FUNCTION, 0x30, b'\x01'))
     *_, last = explain.explain(frames + pump, settings('bus'))
     assert value_of(last, 'data') == 1
-    reads = [Read(0.001 * at, sent, frame) for at, (sent, frame) in
-             enumerate(announced_on_the_bus())]
-    recording = Recording(0.0, {'bus': reads}, [])
-    bag = recording._replace(reads={}, frames=frames_of(recording, settings('bus')))
-    for recording in recording, bag:
-        functions = learned_from(recording, settings('bus')).parameters['functions']
-        assert list(functions) == ['pump'], recording
-
-
-def test_a_bag_has_messages_that_the_bridge_learned_later():
-    line = settings('arduino')
-    chunks = [arduino.encode(chunk) for chunk in chunks_of(FORCE, 20)]
-    bag = as_bag([Read(0.001 * at, False, frame) for at, frame in enumerate(
-        [arduino.encode_raw(32, b'\x01\x00'), *chunks])], line)
-    assert bag.frames[0].frame.cause == UNKNOWN
-    first, *_ = frames_of(bag, learned_from(bag, line))
-    assert (first.frame.cause, first.frame.text) == ('', 'force data=0.01')
 
 
 @pytest.mark.parametrize('link, frame', [
@@ -259,14 +233,6 @@ def test_the_time_of_a_board_is_explained(link, frame):
                                    'fields': ['x', '@time']}}}
     one = only(link, frame, parameters=rows)
     assert value_of(one, '@time') == 123456 and '@time=123456 us' in one.frame.text
-
-
-def test_a_bag_has_the_times_of_its_frames():
-    """TIME is one frame, what it is for another; a damaged one between them ends its reach."""
-    line, ticks = settings('arduino'), arduino.encode(arduino.Ticks(1))
-    wire = [arduino.encode(arduino.Time(5, 16)), ticks, ticks, arduino.encode_raw(8, b''), ticks]
-    bag = as_bag([Read(0.001 * at, False, frame) for at, frame in enumerate(wire)], line)
-    assert [each.frame.ticks for each in frames_of(bag, line)] == [5, 5, 5, None, None]
 
 
 def test_the_direction_can_be_set():
@@ -311,8 +277,5 @@ def test_the_status_says_whether_all_is_valid_and_usable():
     assert len(run('bus', 'hello').stderr.splitlines()) == 1
 
 
-def test_json_has_the_errors_and_a_pipe_has_no_colours():
-    done = run('arduino', '--json', '0408010200')
-    explained = json.loads(done.stdout)
-    assert not explained['valid'] and explained['frames'][0]['error'].startswith('length')
+def test_a_pipe_has_no_colours():
     assert '\033' not in run('mcu', '11').stdout

@@ -1,76 +1,101 @@
-"""What `wire play` sends: the bytes of a text file, and the whole frames of a bag."""
+"""wire play: the whole frames of a bag, or of what listen printed, at their intervals."""
+import subprocess
+import sys
 import time
+from datetime import datetime, timedelta
 
 import pytest
-from lines import Line
-from waiting import again_if_stalled, until
-
+import rosbag
+import rospy
+from lines import Pty
+from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.boards.mcu.link import McuLink
-from serial_communication.framing.stream import CHECKSUM, FRAMING, OVERSIZE
-from serial_communication.tools.wire.play import PiecePlayer, pieces_of
-from serial_communication.tools.wire.recording import Read, Recording
-from serial_communication.transport.port import Port
-from wire_lines import LINKS, as_bag, damaged_reads, decoded, settings
+from serial_communication.msg import SerialMsg
+from serial_communication.tools.wire import play
+from waiting import PATIENCE, until
+from wire_lines import ROOT, settings
 
-SEEDS = range(20)
+PROGRAM = [sys.executable, ROOT + '/scripts/wire']
 
 
-@pytest.mark.parametrize('link', LINKS)
-def test_a_text_file_is_played_byte_by_byte(link):
-    reads = damaged_reads(link, 1)
-    pieces, left_out = pieces_of(Recording(0.0, {link: reads}, []), settings(link))
-    assert [(piece.at, piece.data) for piece in pieces] == [(read.at, read.data) for read in reads]
-    assert left_out == 0
+def status(number):
+    return mcu.encode(mcu.SensorStatus(number, 500, 30.0, 4.0, 5.0), number)
 
 
-@pytest.mark.parametrize('link', LINKS)
-def test_a_bag_plays_its_whole_frames_at_their_times(link):
-    """The receiving bridge decodes these frames, and nothing else."""
-    line = settings(link)
-    damaged = 0
-    for seed in SEEDS:
-        frames = decoded(damaged_reads(link, seed), line)[0]
-        whole = [frame for frame in frames if frame.cause not in (CHECKSUM, FRAMING, OVERSIZE)]
-        pieces, left_out = pieces_of(as_bag(damaged_reads(link, seed), line), line)
-        assert [piece.at for piece in pieces] == [frame.stamp for frame in whole]
-        again = decoded([Read(piece.at, False, piece.data) for piece in pieces], line)[0]
-        assert [(frame.raw, frame.cause) for frame in again] == [
-            (frame.raw, frame.cause) for frame in whole], seed
-        assert left_out == len(frames) - len(whole)
-        damaged += left_out
-    assert damaged > 5 * len(SEEDS)       # or the test would prove nothing
+CRC = status(4)[:-2] + b'\x00\x03'
+UNKNOWN = mcu.encode_raw(9, 5, b'\1\2')
+FRAMES = [(0.0, status(0)), (0.02, status(1)), (0.02, CRC), (0.03, b'\x11\x22'),
+          (0.04, status(2)[:9]), (0.35, status(3)), (0.36, UNKNOWN)]
+WHOLE = [status(0), status(1), status(3), UNKNOWN]
 
 
-def test_a_played_recording_has_the_stamps_of_its_own_board_time(tmp_path):
-    """The last frame was read 0.4 s late when it was recorded."""
-    reads = [Read(0.02 * at, False, mcu.encode(mcu.Time(20_000 * at), 2 * at)
-                  + mcu.encode(mcu.AdcStatus(at, 0, 0, 0, 0, 0), 2 * at + 1)) for at in range(80)]
-    reads[-1] = reads[-1]._replace(at=reads[-1].at + 0.4)
-    pieces, _ = pieces_of(Recording(0.0, {'mcu': reads}, []), settings('mcu'))
-    # After a stall the link drops what it receives.
-    stamps, read_at = again_if_stalled(lambda: played(tmp_path, pieces, 79))
-    assert read_at - stamps[79] > 0.3
-    assert stamps[79] - stamps[78] < 0.1
+@pytest.fixture
+def far(tmp_path):
+    one = Pty(tmp_path / 'board').plug()
+    yield one
+    one.unplug()
 
 
-def played(folder, pieces, last):
-    """Play to a link; return its stamps by the number of the frame, and when the last frame was
-    read; None if the link dropped that one or the one before."""
-    line, stamps, read_at = Line(folder / 'near').plug(), {}, []
-    link = McuLink(Port(line.near), timeout=60.0, clock=time.monotonic,
-                   on_status=lambda message, seq, stamp: stamps.update({message.adc0: stamp}))
-    link.tap = lambda name, direction, frame: read_at.append(frame.stamp)
-    link.start()
-    until(lambda: link.port.is_open)
-    port = Port(line.far)
-    port.open()
-    player = PiecePlayer(port, pieces, -1.0)
-    player.start()
-    until(lambda: last in stamps or player.ended.is_set() and link.connection.stale)
-    player.stop()
-    link.stop()
-    link.join(10.0)
-    port.close()
-    line.unplug()
-    return (stamps, read_at[-1]) if {last - 1, last} <= set(stamps) else None
+def bag_of(path, frames, topic='/serial_msg', began=1763769600.5):
+    with rosbag.Bag(str(path), 'a' if path.exists() else 'w') as bag:
+        for number, (at, frame) in enumerate(frames, 1):
+            for link, direction in (('mcu', 0), ('mcu', 1), ('bus', 0)):
+                message = SerialMsg(link=link, direction=direction, frame=frame)
+                message.header.stamp = rospy.Time.from_sec(began + at)
+                bag.write(topic, message, rospy.Time(number))
+    return path
+
+
+def printed(path, frames):
+    began = datetime(2026, 1, 1, 23, 59, 59, 900000)
+    lines = [f'{began + timedelta(seconds=at):%H:%M:%S.%f}  {"+20.00 ms" if at else "":>12}  '
+             f'{frame.hex(" "):48}  sensor status: 1 mm +2 s' for at, frame in frames]
+    path.write_text('\n'.join(['/dev/ttyUSB0: open', *lines]) + '\n')
+    return path
+
+
+def run(*arguments):
+    return subprocess.run(PROGRAM + ['play', *map(str, arguments)], timeout=PATIENCE, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+@pytest.mark.parametrize('recording', [bag_of, printed])
+def test_the_whole_frames_of_the_board_are_sent_at_their_intervals(recording, tmp_path, far):
+    file = recording(tmp_path / 'recording', FRAMES)
+    began = time.monotonic()
+    done = run(file, 'mcu', far.path)
+    assert (done.returncode, done.stdout) == (0, '') and time.monotonic() - began > 0.36
+    assert done.stderr == '4 frames; 3 invalid ones are left out\n'
+    assert far.read_all() == b''.join(WHOLE)
+
+
+def test_a_clock_that_was_set_back_stops_nothing(tmp_path, far):
+    frames = [(3000.0, status(0)), (3000.02, status(1)), (3000.01, status(2)), (0.0, status(3)),
+              (0.02, status(4))]
+    done = run(bag_of(tmp_path / 'a.bag', frames), 'mcu', far.path)
+    assert done.returncode == 0 and far.read_all() == b''.join(map(status, range(5)))
+
+
+def test_what_the_port_receives_is_dropped_and_a_port_that_nothing_reads_is_named(tmp_path, far):
+    file = bag_of(tmp_path / 'a.bag', [(0.0, status(0)), (0.5, status(1))])
+    far.write(bytes(4000))
+    assert run(file, 'mcu', far.path).returncode == 0
+    until(lambda: far.read(), 'it was sent')
+    many = printed(tmp_path / 'many.txt', [(0.0, bus.encode_reply(bus.Reply(2, bytes(999))))] * 99)
+    done = run(many, 'bus', far.path)
+    assert done.returncode == 1 and 'nothing reads the other end' in done.stderr
+
+
+def test_a_file_that_cannot_be_played_is_reported_in_one_line(tmp_path):
+    (tmp_path / 'text').write_text('hello\n')
+    several = bag_of(tmp_path / 'several', FRAMES)
+    bag_of(several, FRAMES, '/robot/serial_msg')
+    whole = bag_of(tmp_path / 'whole', FRAMES).read_bytes()
+    (tmp_path / 'half').write_bytes(whole[:len(whole) // 2])
+    for name, words in (('text', 'no frames of the link mcu'), ('missing', 'No such file'),
+                        ('', 'Is a directory'), ('several', 'rosbag filter'),
+                        ('half', 'cannot be read')):
+        done = run(tmp_path / name, 'mcu', '/dev/null')
+        assert done.returncode == 1 and words in done.stderr, name
+        assert len(done.stderr.splitlines()) == 1
+    assert play.whole([(0.0, b'\x11')], settings('mcu')) == []

@@ -9,8 +9,6 @@
 // It stays in program memory, and is sent in chunks:
 //
 //   | index | count | CRC-16 of the whole text | text … |
-//
-// `header` writes such a text from the rows of a configuration, as kAnnouncement.
 
 #ifndef SERIAL_COMMUNICATION_ANNOUNCER_H
 #define SERIAL_COMMUNICATION_ANNOUNCER_H

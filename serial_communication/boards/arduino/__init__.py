@@ -48,5 +48,4 @@ DESCRIPTION = Description(
     settings=CustomRows('settings', settings, '~settings/arduino/'),
     heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),
     between=b'\0',
-    first_after_loss=b'\0' + wire.encode(wire.SpeedCommand(0)),
     network_silence=1.0)

@@ -166,16 +166,6 @@ class Function(NamedTuple):
         """The key of its number on the wire, and that number."""
         return 'cmd2', self.cmd2
 
-    @property
-    def layouts(self) -> Dict[str, Layout]:
-        """The layouts of its request and its reply."""
-        return {'Request': self.request, 'Reply': self.reply}
-
-    @property
-    def purpose(self) -> str:
-        """What it is for, in a few words."""
-        return f'a service: {self.srv_type}' if self.srv_type else f'polled: {self.ros_type}'
-
     def make_request(self, values: Sequence) -> Request:
         """The request with these values; ValueError for one that does not fit, or out of range."""
         reason = self._check_move(*values) if self.directions else self.request.implausible(values)

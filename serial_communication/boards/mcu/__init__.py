@@ -4,7 +4,7 @@ from typing import Any, List, Mapping
 from ...framing.custom_messages import RESERVED, CustomMessage, read_messages
 from ...framing.settings import Setting, message_of, read_settings
 from ...framing.stream import Decoder
-from ..description import CustomRows, Description, Numbering, Service, Topic
+from ..description import CustomRows, Description, Service, Topic
 from . import wire
 
 _STATUS = 1.0     # s; the longest period: the status of a silent board is published once a second
@@ -39,5 +39,4 @@ DESCRIPTION = Description(
     services=(Service('~mcu/reset', 'std_srvs/Trigger', 'reset the sensor board', confirm=(
         'The board starts anew; its measurements are missing until then.')),),
     custom=CustomRows('messages', custom_messages, 'mcu/'),
-    settings=CustomRows('settings', settings, '~settings/mcu/'),
-    numbering=Numbering.SEQUENCE)
+    settings=CustomRows('settings', settings, '~settings/mcu/'))

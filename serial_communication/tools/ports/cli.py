@@ -1,13 +1,13 @@
 """rosrun serial_communication ports: which board is on which port.
 
 Listens to each port and shows the board whose frames it receives, the port's names, who has it
-open, whether this user may open it, and what makes it slow; and then lines to paste. It writes not
-one byte, unless --ask is given, and needs no ROS master. A port that another program has open is
-not touched. (An Arduino resets when its port is opened for the first time after it was plugged in.)
+open, whether this user may open it, and what makes it slow; and then the lines to put into a
+configuration. It writes not one byte, unless --ask is given, and needs no ROS master. A port that
+another program has open is not touched. (An Arduino resets when its port is opened for the first
+time after it was plugged in.)
 """
 import argparse
 import os
-import sys
 import threading
 from typing import Any, Dict, List, Optional
 
@@ -15,19 +15,18 @@ from ...boards import BoardError, descriptions
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...output import no_more_output, prepare_output
 from ...transport.urls import url_argument
-from . import configuration, devices
-from .configuration import WriteError
+from . import devices
 from .devices import Device
 from .holders import holders_of
 from .listening import Candidate, Received, Listener
-from .report import Found, as_json, as_text, connections
+from .report import Found, as_json, as_text
 
 _LONGEST = 120.0     # s to listen
 
 _EXAMPLES = """\
 examples:
   ports                              every serial port of this computer
-  ports --ask --write robot.yaml     also find a bus board, and write a configuration
+  ports --ask                        also find a bus board
   ports /dev/ttyUSB0 socket://192.168.1.7:4001 --json
 """
 
@@ -60,9 +59,7 @@ def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
     parser.add_argument('--json', action='store_true', help='print a list of objects')
     parser.add_argument('--config', default='', metavar='FILE',
                         help="the bridge's parameters, for custom messages and for boards of "
-                             'other packages; also what --write changes (config/bridge.yaml)')
-    parser.add_argument('--write', default='', metavar='FILE',
-                        help='write a configuration with the ports that were found, for config:=')
+                             'other packages')
     options = parser.parse_args(arguments)
     try:
         options.candidates = _candidates(options.config)
@@ -99,20 +96,6 @@ def _run(options: argparse.Namespace) -> int:
     if ports:
         print(as_json(ports) if options.json else
               as_text(ports, boards, options.seconds, options.ask, options.config))
-    if not options.write:
-        return 0
-    try:
-        if not connections(ports):
-            raise WriteError(f'{options.write} is not written: no board was found')
-        before = configuration.write(options.write, options.config or configuration.default_path(),
-                                     list(boards), connections(ports))
-    except WriteError as error:
-        print(f'ports: {error}', file=sys.stderr)
-        return 1
-    kept = f'; what was there is now {before}' if before else ''
-    print(f'ports: {options.write} is written{kept}. Start the bridge with it: roslaunch '
-          f'serial_communication bridge.launch config:={os.path.abspath(options.write)}',
-          file=sys.stderr)
     return 0
 
 

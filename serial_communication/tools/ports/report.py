@@ -1,12 +1,9 @@
 """The report of `ports`, as text and as JSON."""
 import json
-import os
-from typing import Dict, Iterable, List, Mapping, NamedTuple
+from typing import Iterable, List, Mapping, NamedTuple
 
-from ...boards import BOARDS
 from ...framing.layout import readable
 from . import advice
-from .configuration import Connection
 from .devices import Device
 from .holders import Holder
 from .listening import Candidate, Received
@@ -18,15 +15,6 @@ class Found(NamedTuple):
     device: Device
     holders: List[Holder]
     heard: Received
-
-
-def connections(ports: Iterable[Found]) -> Dict[str, Connection]:
-    """The port of each board that was found; of two with the same board the first."""
-    found: Dict[str, Connection] = {}
-    for port in ports:
-        if port.heard.board and port.heard.baud:
-            found.setdefault(port.heard.board, Connection(port.device.name, port.heard.baud))
-    return found
 
 
 def as_json(ports: Iterable[Found]) -> str:
@@ -49,13 +37,23 @@ def as_json(ports: Iterable[Found]) -> str:
 
 def as_text(ports: List[Found], boards: Mapping[str, Candidate], seconds: float,
             asked: bool, config: str) -> str:
-    """A paragraph for each port, and lines to paste; with the configuration if one was given."""
-    parts = [_port(port, boards, seconds) for port in ports]
-    parts.append('\n'.join(_to_paste(ports, boards, asked, config)))
-    remedies = advice.of_computer()
-    if remedies:
-        parts.append('\n'.join(f'note: {remedy}' for remedy in remedies))
-    return '\n\n'.join(parts)
+    """A paragraph for each port, notes, and the lines to put into a configuration.
+
+    Args:
+        config: the configuration that was given, or ''.
+    """
+    found = {port.heard.board: port for port in reversed(ports) if port.heard.board}
+    notes = [*_notes(ports, found, boards, asked, config), *advice.of_computer()]
+    if found:
+        last = ['Put into a configuration (bridge.launch config:=FILE):']
+        last += [f'{name}: {{port: {port.device.name}, baud: {port.heard.baud}}}'
+                 for name, port in sorted(found.items())]
+    else:
+        last = ['No board was found.' + ' End the programs that have a port open, and run this '
+                'again.' * any(port.holders for port in ports)]
+    parts = [*(_port(port, boards, seconds) for port in ports),
+             '\n'.join(f'note: {note}' for note in notes), '\n'.join(last)]
+    return '\n\n'.join(filter(None, parts))
 
 
 def _port(port: Found, boards: Mapping[str, Candidate], seconds: float) -> str:
@@ -91,31 +89,17 @@ def _received(heard: Received, seconds: float) -> str:
         f' (text: {words!r})' if words else '')
 
 
-def _to_paste(ports: List[Found], boards: Mapping[str, Candidate], asked: bool,
-              config: str) -> List[str]:
-    found = connections(ports)
-    lines = [f'note: {name} is on several ports; the first is taken: {connection.port}'
-             for name, connection in found.items()
-             if sum(port.heard.board == name for port in ports) > 1]
+def _notes(ports: List[Found], found: Mapping[str, Found], boards: Mapping[str, Candidate],
+           asked: bool, config: str) -> Iterable[str]:
+    for name, first in found.items():
+        if sum(port.heard.board == name for port in ports) > 1:
+            yield f'{name} is on several ports; the first is taken: {first.device.name}'
     is_silent = any(port.heard.kind == 'nothing' and not port.heard.trouble for port in ports)
     questions = [name for name, each in boards.items()
                  if each.board.question and name not in found]
     if is_silent and questions and not asked:
-        lines.append(f'note: the {" and the ".join(questions)} board is silent until it is asked: '
-                     'run this again with --ask')
+        yield (f'the {" and the ".join(questions)} board is silent until it is asked: '
+               'run this again with --ask')
     if not config and any(port.heard.kind == 'noise' for port in ports):
-        lines.append('note: a board that sends only custom messages is found with their '
-                     'configuration: run this again with --config FILE')
-    if not found and any(port.holders for port in ports):
-        return lines + ['No board was found. End the programs that have a port open, and run this '
-                        'again.']
-    if not found:
-        return lines + ['No board was found.']
-    if all(name in BOARDS and connection.baud == boards[name].baud
-           for name, connection in found.items()):
-        arguments = [f'{name}_port:={found[name].port}' for name in BOARDS if name in found]
-        arguments += [f'config:={os.path.abspath(config)}'] * bool(config)
-        return lines + ['roslaunch serial_communication bridge.launch ' + ' '.join(arguments)]
-    return lines + ['In the configuration:'] + [
-        f'{name}: {{port: {connection.port}, baud: {connection.baud}}}'
-        for name, connection in found.items()]
+        yield ('a board that sends only custom messages is found with their configuration: run '
+               'this again with --config FILE')

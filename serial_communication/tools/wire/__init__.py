@@ -1,5 +1,5 @@
-"""rosrun serial_communication wire: explain, show, record and play back a serial line.
+"""rosrun serial_communication wire: explain, show and play back a serial line.
 
-Each program is a module, which `cli` selects. `lines` decodes one direction of a line, `recording`
-reads and writes recordings, `live` reads ports, `display` prints frames, `show` formats them.
+Each program is a module, which `cli` selects. `lines` has the settings of a line, `show` formats
+its frames.
 """

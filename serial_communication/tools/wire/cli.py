@@ -6,19 +6,17 @@ import sys
 from typing import List, Optional
 
 from ...output import no_more_output, prepare_output
-from . import explain, listen, play, stats, tap
+from . import explain, listen, play
 from .show import WireError, print_note
 
-PROGRAMS = {'explain': explain, 'listen': listen, 'tap': tap, 'play': play, 'stats': stats}
+PROGRAMS = {'explain': explain, 'listen': listen, 'play': play}
 
 _DESCRIPTION = """\
 What is on a serial line, in bytes and in words.
 
   explain bytes                        wire explain arduino 03 08 02 00
   show what a board sends              wire listen mcu /dev/ttyUSB0
-  show both directions                 wire tap arduino /dev/ttyUSB0 /tmp/tap
   play a recording to a bridge         wire play drive.bag mcu /tmp/board
-  count frames and errors              wire stats drive.bag
 
 wire stands for  rosrun serial_communication wire , or scripts/wire in a checkout. Each program
 below has a --help.

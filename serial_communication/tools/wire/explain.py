@@ -13,8 +13,6 @@ frames are valid; 1: not all are; 2: wrong arguments, or not hex.
 """
 import argparse
 import ast
-import json
-import math
 import re
 import sys
 from typing import Any, Iterable, List, NamedTuple, Optional, Sequence, Tuple
@@ -59,14 +57,13 @@ class Explained(NamedTuple):
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `wire explain`."""
-    lines.add_link_options(parser)
+    lines.add_options(parser)
     parser.add_argument('hex', metavar='HEX', nargs='*', help='the bytes; - for standard input')
     one = parser.add_mutually_exclusive_group()
     one.add_argument('--sent', action='store_const', const=True, dest='sent',
                      help='the computer sent the bytes (bus: a request)')
     one.add_argument('--received', action='store_const', const=False, dest='sent',
                      help='the board sent the bytes (bus: a reply)')
-    parser.add_argument('--json', action='store_true', help='the same as JSON')
 
 
 def run(options: argparse.Namespace) -> int:
@@ -74,12 +71,7 @@ def run(options: argparse.Namespace) -> int:
     words = options.hex
     text = ' '.join(words) if words and words != ['-'] else sys.stdin.read()
     found = explain(parse(text), lines.settings(options), options.sent)
-    if options.json:
-        print(json.dumps({'valid': not any(each.trouble for each in found),
-                          'frames': [as_dict(each) for each in found]}, indent=1))
-    else:
-        print('\n\n'.join(render(each, Paint()) for each in found)
-              or 'only empty packets')
+    print('\n\n'.join(render(each, Paint()) for each in found) or 'only empty packets')
     return 1 if any(each.trouble for each in found) else 0
 
 
@@ -264,22 +256,3 @@ def _number(value: Any) -> str:
     if isinstance(value, tuple):
         return '[' + ' '.join(map(_number, value)) + ']'
     return f'{value:.6g}' if isinstance(value, float) else str(value)
-
-
-def as_dict(each: Explained) -> dict:
-    """Return a frame as an object for JSON."""
-    raw = each.frame.raw
-    return {
-        'from': 'computer' if each.sent else 'board', 'frame': raw.hex(),
-        'valid': not each.trouble, 'text': each.frame.text, 'error': each.trouble,
-        'parts': [{'start': part.start, 'end': part.end, 'name': part.name,
-                   'wire': raw[part.start:part.end].hex(), 'data': part.data.hex(),
-                   'raw': _plain(part.raw), 'value': _plain(part.value), 'unit': part.unit,
-                   'meaning': part.meaning, 'error': part.error} for part in each.parts]}
-
-
-def _plain(value: Any) -> Any:
-    """Convert a value for JSON, which has neither NaN nor infinity: these become text."""
-    if isinstance(value, (tuple, list)):
-        return [_plain(each) for each in value]
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,16 +1,15 @@
-"""Settings of a serial line, and a decoder for one direction that works like a link's."""
+"""The settings of a serial line from the command line, and a decoder for each direction."""
 import argparse
-from typing import Any, Callable, List, Mapping, NamedTuple, Optional
+from typing import Any, Mapping, NamedTuple
 
 from ...boards import BOARDS, BoardError, descriptions, find
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...boards.description import Description
-from ...framing.frame_timer import FrameTimer
-from ...framing.stream import Decoder, Frame
+from ...framing.stream import Decoder
+from ...transport.urls import url_argument
 from .show import WireError
 
-MAX_BAUD = 10 ** 8
-FRAME_TIMEOUT = 0.05     # s; the default of the bridge's parameter frame_timeout
+_MAX_BAUD = 10 ** 8
 
 
 class UsageError(WireError):
@@ -19,41 +18,15 @@ class UsageError(WireError):
     status = 2
 
 
-class UnknownBoard(UsageError):
-    """No known board has a link of that name."""
-
-
 class Settings(NamedTuple):
     """What is needed to decode a line."""
 
     board: Description
     baud: int
-    frame_timeout: float = FRAME_TIMEOUT     # s
     parameters: Mapping[str, Any] = {}       # the board's, as the bridge has them
 
-    @property
-    def link(self) -> str:
-        """The name of the link."""
-        return self.board.name
 
-
-def positive(text: str) -> float:
-    """For argparse: a finite number above 0."""
-    value = float(text)
-    if not 0 < value < float('inf'):
-        raise argparse.ArgumentTypeError(f'{text} is not a finite number above 0')
-    return value
-
-
-def baud(text: str) -> int:
-    """For argparse: a baud rate, 1 … MAX_BAUD."""
-    value = int(text)
-    if not 0 < value <= MAX_BAUD:
-        raise argparse.ArgumentTypeError(f'{text} baud is out of range (1 … {MAX_BAUD})')
-    return value
-
-
-def add_link_options(parser: argparse.ArgumentParser) -> None:
+def add_options(parser: argparse.ArgumentParser) -> None:
     """Add LINK, and the options that change how its bytes are decoded."""
     parser.add_argument('link', metavar='LINK',
                         help='the protocol: ' + ', '.join(BOARDS) + ', a link of a board in '
@@ -63,25 +36,25 @@ def add_link_options(parser: argparse.ArgumentParser) -> None:
             parser.add_argument('--' + flag.replace('_', '-'), action='append_const',
                                 dest='flags', const=flag, default=[],
                                 help=f'{board.name}: {meaning}')
-    add_config_option(parser)
-    parser.set_defaults(baud=0, frame_timeout=FRAME_TIMEOUT)
-
-
-def add_config_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the file that `known_lines` reads."""
     parser.add_argument('--config', default='', metavar='FILE',
                         help="the bridge's parameters, for its baud rates, its custom messages and "
                              'functions, and its boards of other packages')
+    parser.set_defaults(baud=0)
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that `settings` reads, including LINK."""
-    add_link_options(parser)
-    parser.add_argument('--baud', type=baud, default=0, metavar='N',
+def add_port(parser: argparse.ArgumentParser) -> None:
+    """Add PORT, and its baud rate."""
+    parser.add_argument('port', metavar='PORT', type=url_argument,
+                        help='a device, or whatever pyserial opens')
+    parser.add_argument('--baud', type=_baud, default=0, metavar='N',
                         help="(that of --config, or the board's default)")
-    parser.add_argument('--frame-timeout', type=positive, default=FRAME_TIMEOUT, metavar='S',
-                        help='an incomplete frame is dropped after this time without a byte, as '
-                             "by the bridge's parameter of that name (%(default)g)")
+
+
+def _baud(text: str) -> int:
+    value = int(text)
+    if not 0 < value <= _MAX_BAUD:
+        raise argparse.ArgumentTypeError(f'{text} baud is out of range (1 … {_MAX_BAUD})')
+    return value
 
 
 def settings(options: argparse.Namespace) -> Settings:
@@ -90,101 +63,22 @@ def settings(options: argparse.Namespace) -> Settings:
     Raises:
         UsageError: the link is unknown, or --config cannot be used.
     """
-    line = known_lines(options.config)(options.link, options.baud)
-    flags = {flag: True for flag in options.flags if flag in line.board.wire_flags}
-    return line._replace(frame_timeout=options.frame_timeout,
-                         parameters={**line.parameters, **flags})
-
-
-def known_lines(config: str) -> Callable[[str, int], Settings]:
-    """Return a function of a link's name and baud rate that returns its settings.
-
-    Args:
-        config: a file with the bridge's parameters, or ''. A rate of 0 is that of its parameters.
-
-    Raises:
-        UsageError: the file cannot be used. The returned function raises it for a mistake in a
-            board's parameters, and `UnknownBoard` for an unknown name.
-    """
     try:
-        parameters = read_parameters(config) if config else {}
-    except (OSError, ValueError) as error:
-        raise UsageError(f'{config}: {error}') from None
-
-    def known(link: str, baud_rate: int = 0) -> Settings:
-        try:
-            board = find(link, board_packages(parameters))
-        except BoardError as error:
-            raise UnknownBoard(
-                f'there is no board {link}, only {", ".join(BOARDS)}; for a board of another '
-                'package give its package, or --config with the parameter `boards`: '
-                f'{error}') from None
+        parameters = read_parameters(options.config) if options.config else {}
+        board = find(options.link, board_packages(parameters))
         own = board_parameters(parameters, board.name)
-        try:
-            line = Settings(board, baud_rate or board.baud_of(own), parameters=own)
-            decoder(line, False)
-        except ValueError as error:      # a mistake in the rate or in a custom message
-            raise UsageError(f'{config}: {error}') from None
-        return line
-
-    return known
+        flags = {flag: True for flag in options.flags if flag in board.wire_flags}
+        line = Settings(board, options.baud or board.baud_of(own), {**own, **flags})
+        decoder(line, False)
+    except BoardError as error:
+        raise UsageError(f'there is no board {options.link}, only {", ".join(BOARDS)}; for a board '
+                         'of another package give its package, or --config with the parameter '
+                         f'`boards`: {error}') from None
+    except (OSError, ValueError) as error:
+        raise UsageError(f'{options.config}: {error}') from None
+    return line
 
 
 def decoder(line: Settings, sent: bool) -> Decoder:
     """Return a decoder of what the board sends, or of what is `sent` to it."""
     return line.board.decoder(sent, line.parameters)
-
-
-def type_name(line: Settings, sent: bool, frame: Frame) -> str:
-    """Return the name of a valid frame's type, as the protocol calls it."""
-    name = ''
-    for part in decoder(line, sent).explain(frame.raw):
-        if part.kind is not None:
-            name = part.kind or f'{name or "type"} 0x{part.raw:02x}'
-    return name or f'type 0x{frame.type:02x}'
-
-
-class Direction:
-    """Decodes one direction of a line, live or from a recording.
-
-    Incomplete frames are dropped after the same times as in a link. All times are in seconds of one
-    clock. A frame's stamp is the time of the read that had its last byte.
-    """
-
-    def __init__(self, line: Settings, sent: bool) -> None:
-        self.sent = sent
-        self.decoder = decoder(line, sent)
-        self._timer = FrameTimer(self.decoder, line.frame_timeout, line.baud)
-        self._last_byte = float('-inf')
-
-    def feed(self, data: bytes, at: float) -> List[Frame]:
-        """Decode a read. Return the frames that are complete, or dropped as incomplete, by now."""
-        frames = []
-        while True:
-            due = self.due()
-            if due is None or due >= at:     # a link decodes new bytes before it drops a frame
-                break
-            frames += self._give_up(due)
-        self._last_byte = at
-        return frames + self.decoder.feed(data, at) + self._give_up(at)
-
-    def expire(self, now: float) -> List[Frame]:
-        """Return the incomplete frames that are dropped by `now` if nothing was received."""
-        frames: List[Frame] = []
-        while True:
-            due = self.due()
-            if due is None or due > now:
-                return frames
-            frames += self._give_up(due)
-
-    def due(self) -> Optional[float]:
-        """Return when to call `expire` next; None: not before the next read."""
-        return self._timer.due(self._last_byte)
-
-    def reset(self) -> None:
-        """Drop pending bytes: the port was closed, or bytes are missing."""
-        self.decoder.reset()
-        self._timer.reset()
-
-    def _give_up(self, now: float) -> List[Frame]:
-        return self._timer.overdue(self._last_byte, now)

@@ -1,12 +1,10 @@
-"""Formatting for users: bytes, times and text of a frame, with colours on a terminal."""
+"""Formatting for users: bytes and times, with colours on a terminal."""
 import os
 import sys
-from typing import Optional, TextIO
 
-from ...framing.stream import Frame
 from ...output import no_more_output
 
-_COLOURS = {'board': '36', 'computer': '33', 'bad': '31', 'good': '32', 'dim': '2'}
+_COLOURS = {'board': '36', 'computer': '33', 'bad': '31', 'dim': '2'}
 
 
 class WireError(Exception):
@@ -15,33 +13,21 @@ class WireError(Exception):
     status = 1     # exit status of the program
 
 
-def is_terminal(stream: Optional[TextIO] = None) -> bool:
-    """Whether a stream shows colours and rewritten lines; None: standard output."""
-    stream = sys.stdout if stream is None else stream
-    return stream.isatty() and os.environ.get('TERM', 'dumb') != 'dumb'
-
-
 class Paint:
-    """Colours text, if the stream is a terminal and NO_COLOR is not set."""
+    """Colours text, if standard output is a terminal with colours and NO_COLOR is not set."""
 
-    def __init__(self, stream: Optional[TextIO] = None) -> None:
-        self._on = is_terminal(stream) and not os.environ.get('NO_COLOR')
+    def __init__(self) -> None:
+        self._on = sys.stdout.isatty() and os.environ.get('TERM', 'dumb') != 'dumb' \
+            and not os.environ.get('NO_COLOR')
 
     def __call__(self, text: str, colour: str) -> str:
-        """Return `text` in a colour: board, computer, bad, good or dim."""
+        """Return `text` in a colour: board, computer, bad or dim."""
         return f'\033[{_COLOURS[colour]}m{text}\033[0m' if self._on and text else text
 
 
 def hexed(data: bytes) -> str:
     """Return bytes as `02 0c 10`."""
     return data.hex(' ')
-
-
-def frame_line(frame: Frame, sender: str, gap: str, clock: str, paint: Paint) -> str:
-    """Return the line of a frame: time, time since the frame before, sender, bytes, text."""
-    words = paint(frame.trouble, 'bad') if frame.cause else frame.text
-    return (f'{clock}  {gap:>12}  {paint(f"{sender:8}", sender)}  '
-            f'{hexed(frame.raw):48}  {words}').rstrip()
 
 
 def seconds(value: float) -> str:

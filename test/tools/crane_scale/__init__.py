@@ -1,5 +1,5 @@
 """A board of another package, for the tests of `wire`: a crane scale."""
-from serial_communication.boards.description import CustomRows, Description, Heartbeat, Numbering
+from serial_communication.boards.description import CustomRows, Description, Heartbeat
 from serial_communication.framing.custom_messages import read_messages
 
 from . import wire
@@ -16,5 +16,4 @@ def _decoder(sent, parameters):
 
 DESCRIPTION = Description(
     'scale', __name__, _decoder, custom=CustomRows('messages', custom_messages, 'scale/'),
-    numbering=Numbering.SEQUENCE, heartbeat=Heartbeat(wire.Hold.TYPE, longest_gap=0.2), baud=9600,
-    between=b'\n', first_after_loss=wire.encode(wire.Hold(), 0))
+    heartbeat=Heartbeat(wire.Hold.TYPE, longest_gap=0.2), baud=9600, between=b'\n')
