@@ -7,7 +7,9 @@ import sys
 import threading
 
 import pytest
-from simulation_bench import PATIENCE, ROOT, Notes, until
+from lines import ROOT
+from simulation_bench import Notes
+from waiting import PATIENCE, until
 
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.link import BusLink
