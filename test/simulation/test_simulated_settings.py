@@ -1,7 +1,9 @@
 """Simulated boards keep settings, limit them, report all in turn and forget them at a reset."""
+from importlib import import_module
+
 import pytest
 
-from serial_communication.boards import description, load
+from serial_communication.boards import description
 from serial_communication.framing.announcement import Assembly, Chunk, read_announcement
 from serial_communication.framing.settings import SettingMessage, message_of
 from serial_communication.simulation.custom_messages import Configured, announced_text
@@ -18,7 +20,7 @@ class Bench:
         self.description = description(name)
         config = Configured(self.description, {'settings': rows})
         text = announced_text(name, config) if announces else None
-        make = load(f'serial_communication.boards.{name}.simulator').BOARD
+        make = import_module(f'serial_communication.boards.{name}.simulator').BOARD
         self.board = make(settings=config.settings, announcement=text)
         self.decoder = self.description.decoder(False, {'settings': rows})
         self.kind = message_of(config.settings)
@@ -38,7 +40,7 @@ class Bench:
             self.line.tick(self.now)
 
     def set(self, number, value):
-        wire = load(f'serial_communication.boards.{self.description.name}.wire')
+        wire = import_module(f'serial_communication.boards.{self.description.name}.wire')
         extra = (3,) if self.description.name == 'mcu' else ()
         before = b'\0' * (not extra)
         self.line.receive(before + wire.encode(self.kind(number, value), *extra), self.now)

@@ -141,15 +141,10 @@ def test_a_board_of_another_package_runs_and_has_its_help(elsewhere, start, tty)
     assert 'stall' not in says      # a fault that a board that only sends cannot have
 
 
-@pytest.mark.parametrize('text, says', [
-    (None, "importing 'beacon.simulator' failed: ModuleNotFoundError"),
-    ('1 / 0', "importing 'beacon.simulator' failed: ZeroDivisionError: division by zero ("),
-    ('BOARD = 5', "the module 'beacon.simulator' has no BOARD")])
-def test_a_package_without_a_simulator_is_reported_in_one_line(elsewhere, text, says):
-    if text is not None:
-        (elsewhere / 'simulator.py').write_text(text)
+def test_a_package_without_a_simulator_is_reported_in_one_line(elsewhere):
+    (elsewhere / 'simulator.py').write_text('BOARD = 5')
     result = run('beacon', '--port', 'x')
-    assert result.returncode == 2 and says in result.stderr
+    assert result.returncode == 2 and "the module 'beacon.simulator' has no BOARD" in result.stderr
     assert len(result.stderr.splitlines()) == 1, result.stderr
 
 

@@ -7,13 +7,14 @@ the places. It needs no ROS. For a copy of the package: PYTHONPATH=COPY python3 
 import ast
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Dict, Iterator, List, Set
 from xml.etree import ElementTree
 
 import yaml
 
-from serial_communication.boards import BOARDS, description, load
+from serial_communication.boards import BOARDS, description
 from serial_communication.boards.bus import messages as bus
 from serial_communication.boards.bus import wire as bus_wire
 from serial_communication.boards.description import Description
@@ -71,7 +72,7 @@ def _types(root: Path, board: Description) -> Iterator[str]:
 
 def _packets(root: Path) -> Iterator[str]:
     for name, (header, after, constant) in LINKS.items():
-        wire = load(f'serial_communication.boards.{name}.wire')
+        wire = import_module(f'serial_communication.boards.{name}.wire')
         from_board, to_board = set(wire.FROM_BOARD), set(getattr(wire, 'TO_BOARD', ()))
         for each in _defined_in(wire) - from_board - to_board:
             yield f'boards/{name}/wire.py: {each.__name__} is not in FROM_BOARD or TO_BOARD'
@@ -154,7 +155,8 @@ def _functions(root: Path) -> Iterator[str]:
 def _is_simulated(function: Any) -> bool:
     """Whether the simulated board knows a function of the bus."""
     written: List[bytes] = []
-    line = SimulatedLine(load('serial_communication.boards.bus.simulator').BOARD(), written.append)
+    simulator = import_module('serial_communication.boards.bus.simulator')
+    line = SimulatedLine(simulator.BOARD(), written.append)
     line.start(0.0)
     request = function.make_request([0] * len(function.request.values))
     line.receive(bus_wire.encode_request(bus.SYNC_REQUEST) + bus_wire.encode_request(request), 0.0)

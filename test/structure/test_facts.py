@@ -60,7 +60,7 @@ FUNCTION = [
     (PAGE, '| 0x22 | environment', '| 0x23 | horn | seconds | – |\n| 0x22 | environment',
      f'{PAGE}: the function 0x23 is missing')]
 SONAR = {'__init__.py': "the module 'sonar' has no DESCRIPTION of a board",
-         'wire.py': "importing 'serial_communication.boards.sonar' failed",
+         'wire.py': "cannot import name 'wire'",
          **{name: f'boards/sonar/{name}: there is no such file' for name in facts.FILES[1:]}}
 BOARD = [
     (BOARDS + '__init__.py', "'arduino', 'mcu')", "'arduino', 'mcu', 'sonar')",

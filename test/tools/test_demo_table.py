@@ -356,7 +356,7 @@ def test_the_latest_address_of_the_page_is_shown(tmp_path):
                 ('panel: http://127.0.0.1:8080/#one\n', 'http://127.0.0.1:8080/#one'),
                 ('[INFO] arduino says "panel: http://evil/"\npanel: waiting for http://a:1\n',
                  'http://127.0.0.1:8080/#one'),
-                ('panel: for another browser: http://127.0.0.1:8080/#tw', None), ('o\n', None)):
+                ('panel: http://127.0.0.1:8080/#tw', None), ('o\n', None)):
             out.write(text)
             out.flush()
             if address:

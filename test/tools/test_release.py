@@ -56,7 +56,6 @@ def test_two_releases_of_a_program_with_a_long_name_are_two_borrowers(monkeypatc
     monkeypatch.setattr(cli, '_Loan', Loan)
     for name in 'prepare_output', '_device', '_Command':
         monkeypatch.setattr(cli, name, lambda *_arguments: '')
-    monkeypatch.setattr(cli.master_calls, 'limit_time', lambda: None)
     for pid in 4194303, 4194302:        # no pid of Linux is longer
         monkeypatch.setattr(cli.os, 'getpid', lambda pid=pid: pid)
         assert cli.main(['arduino', '--', str(command)]) == 125

@@ -203,17 +203,6 @@ def test_heartbeats_go_on_while_a_callback_blocks(line, board, open_link):
     hang.set()
 
 
-def test_a_blocked_warning_of_the_thread_does_not_delay_heartbeats(board, open_link, monkeypatch):
-    link = open_link(STEADY._replace(speed_timeout=0.05))
-    entered, hang = threading.Event(), threading.Event()
-    monkeypatch.setattr(link.log, 'warn', lambda *_: entered.set() or hang.wait(PATIENCE))
-    link.set_speed(300)
-    until(entered.is_set)
-    more_heartbeats(board, 30)
-    assert board.commands() == [SpeedCommand(300), SpeedCommand(0)] and not hang.is_set()
-    hang.set()
-
-
 class RecordingPort(Port):
     """Keeps the frames that were written."""
 
