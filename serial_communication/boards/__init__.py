@@ -34,7 +34,7 @@ def description(name: str) -> Description:
     except ModuleNotFoundError as error:
         if not f'{module}.'.startswith(f'{error.name}.'):
             raise
-        raise BoardError(f'there is no board and no Python package {name!r}') from None
+        raise BoardError(f'there is no Python package {name!r}') from None
     if not isinstance(found, Description):
         raise BoardError(f'the module {name!r} has no DESCRIPTION of a board')
     return found

@@ -74,7 +74,7 @@ def finish() -> bool:
         Whether all were written. If not, end the process with os._exit: the interpreter's own exit
         would wait for ever for the blocked stream.
     """
-    ending = threading.Thread(target=_finish, name='log end', daemon=True)
+    ending = threading.Thread(target=_finish, name='log flush', daemon=True)
     ending.start()
     ending.join(_LAST)
     return not ending.is_alive()

@@ -141,7 +141,9 @@ def restart(environment: Mapping[str, str]) -> None:
     if rospy.core.is_shutdown_requested():
         return
     try:
-        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **environment})
+        with open('/proc/self/cmdline', 'rb') as file:
+            arguments = file.read().split(b'\0')[:-1]
+        os.execve(sys.executable, arguments, {**os.environ, **environment})
     except OSError as error:
         print(f'cannot start again: {error}', file=sys.stderr)
         os._exit(1)

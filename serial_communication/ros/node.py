@@ -134,6 +134,8 @@ def _given() -> Any:
     before = json.loads(os.environ.pop(_PARAMETERS, '{}'))
     if before and isinstance(given, dict):
         given = _merged(before, given)
+        if SETTINGS in before:      # those of the command line may be older
+            given[SETTINGS] = before[SETTINGS]
         rospy.set_param('~', given)
     return given
 

@@ -152,7 +152,7 @@ def _value(name: str, parameter: Parameter, value: Any, namespace: str) -> Any:
         return parameter.check(value)
     except RowError as error:
         raise ParameterError(f'parameter {namespace}/{error}') from None
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise ParameterError(f'parameter {namespace}/{name} is {brief(value, 120)} '
                              f'({type(value).__name__}), {parameter.allowed()}'
                              + (f': {error}' if str(error) else '')) from None

@@ -39,7 +39,7 @@ _TEXT = (b'firmware: campaign %d\n' + _HOIST + b'\ngauge: {type: %d, ros_type: s
          b'layout: <B, fields: [data]}\n'
          b'winch: {type: 200, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}\n'
          b'second: {type: 60, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}')
-_NO_MASTER, _ANNOUNCES = 'no answer from the ROS master', 'arduino: announces'      # in the log
+_NEW_MASTER, _ANNOUNCES = 'is a new ROS master', 'arduino: announces'      # in the log
 _LEVEL = 90
 _LEVELS = b'\n'.join(       # as many rows as one text may have
     b'level_%d: {type: %d, ros_type: std_msgs/UInt8, layout: <B, fields: [data]}' % (n, _LEVEL + n)
@@ -105,24 +105,29 @@ def suspended_subscriber(rig: Rig) -> None:
 
 
 def new_master(rig: Rig) -> None:
-    """roscore ends, and another one starts at its address."""
+    """roscore ends, and another one starts at its address: the bridge starts again."""
     returns = rig.row('topics, services, parameters return within 10 s of a new master')
     continues = rig.row('without a master the ports stay open and commands arrive')
     before, parameters = _registered(), rospy.get_param(NODE)
     connections = rig.car.connection, rig.bus.connection, rig.sensors.connection
-    drive, gone = Drive(rig), len(rig.logs.find(_NO_MASTER))
+    drive, known = Drive(rig), len(rig.logs.find(_NEW_MASTER))
     rig.ask_master_to_end()
     rig.wait(lambda: not rig.master_runs, 'the master has ended')
     drive.command()
     rig.end_master()
-    rig.row('what happened is in the log').wait(
-        lambda: len(rig.logs.find(_NO_MASTER)) > gone, 'that the master is gone', 10.0)
+    continues.check((rig.car.connection, rig.bus.connection, rig.sensors.connection)
+                    == connections, 'a port was opened again')
     with rig.suspended():       # what is there before the bridge finds the new master
         rig.start_master()
-        rospy.set_param(f'{NODE}/bus/motion_timeout', 0.7)
+        rospy.set_param(f'{NODE}/bus/retries', 3)
         early = rig.user('numbers', f'early_{time.monotonic_ns()}', 5000)
-    parameters['bus']['motion_timeout'] = 0.7
+    parameters['bus']['retries'] = 3
     began = time.monotonic()
+    rig.row('what happened is in the log').wait(
+        lambda: len(rig.logs.find(_NEW_MASTER)) > known, 'that the master is a new one', 10.0)
+    rig.wait(lambda: rig.car.last.is_stop, 'the last packet is SPEED 0')
+    for board in rig.car, rig.bus:      # a pty does not show that the bridge starts again
+        board.start_connection()
     returns.wait(lambda: _registered() >= before, 'all is registered')
     returns.at_most(time.monotonic() - began, _MASTER_RETURN, 's', 'all is registered')
     returns.wait(lambda: rospy.get_param(NODE) == parameters, 'the parameters are as before', 5.0)
@@ -130,10 +135,9 @@ def new_master(rig: Rig) -> None:
                  'commands of a publisher that was there first')
     rig.end(early)
     rig.robot.register_again()
-    drive.command()
+    rig.wait_for_bridge()
+    Drive(rig).command()
     continues.check(rig.robot.call('lift', 0, 2).success, 'a call failed')
-    continues.check((rig.car.connection, rig.bus.connection, rig.sensors.connection)
-                    == connections, 'a port was opened again')
 
 
 def _registered() -> FrozenSet[Tuple[str, str]]:

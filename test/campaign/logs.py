@@ -78,6 +78,8 @@ class LogCheck:
         self._faults.check(not self._by_bridge or not re.search(
             'Traceback|fault in the bridge|the bridge is stuck', line), f'{path}: {line}')
         link, cause = cause_of(match.group(4)) if match else ('', '')
+        if match and 'is a new ROS master' in match.group(4):     # it starts again, in this file
+            self._last = {key: at for key, at in self._last.items() if key[0] != path}
         if not link:
             return
         now = time.mktime(time.strptime(match.group(2), '%Y-%m-%d %H:%M:%S'))

@@ -1049,19 +1049,19 @@ def test_the_page_needs_the_token_once(chromium, control_panel, panel):
     chromium.script('localStorage.clear()')
     chromium.open('about:blank')
     chromium.open(control_panel.url.split('#')[0])
-    chromium.wait(lambda page: 'open the address that the panel printed last' in page.text(
+    chromium.wait(lambda page: 'open the address that the panel printed' in page.text(
         '#trouble'), 'the page shows it')
-    # One that has been used, or is wrong, is told so; the reason stays while the page tries again.
+    # A wrong one is told so; the reason stays while the page tries again.
     reasons = watch_texts(chromium, '#trouble')
     chromium.script("location.hash = 'not-the-right-one'")
-    chromium.wait(lambda _page: 'the token is wrong' in reasons()[-1], 'the page shows it')
+    chromium.wait(lambda _page: 'its token is wrong' in reasons()[-1], 'the page shows it')
     seen = len(reasons())
     tries = ("return performance.getEntriesByType('resource')"
              ".filter((each) => each.name.endsWith('/key')).length")
     before = chromium.script(tries)
     chromium.wait(lambda page: page.script(tries) > before + 2, 'it tries again')
-    assert reasons()[seen - 1:] == ['the token is wrong, or has been used already; '
-                                    'open the address that the panel printed last']
+    assert reasons()[seen - 1:] == ['its token is wrong; '
+                                    'open the address that the panel printed']
     chromium.errors()
     chromium.open(control_panel.url)        # in the same tab: only the part after # changes
     chromium.wait_for_text('#connection', 'live')

@@ -277,7 +277,7 @@ class AnnouncedTest(unittest.TestCase):
     def test_rows_that_may_not_be_are_left_out_with_a_line_each(self):
         row = '{type: %d, ros_type: %s, layout: "<H", fields: [data]}\n'
         reasons = {
-            'imu: ' + row % (50, 'std_msgs/UInt16'): 'announced/imu is .imu.*may not be a name',
+            'imu: ' + row % (50, 'std_msgs/UInt16'): 'announced/imu is .imu.*has the name of ~imu',
             'a: ' + row % (10, 'std_msgs/UInt16'): 'announced/a/type is 10 .int., may be a whole',
             'b: ' + row % (51, 'std_msgs/Uint16'): 'announced/b/ros_type is .*not an installed',
             'c: {typ: 5}\n': 'announced/c/typ is 5 .*not a key of a row',

@@ -66,6 +66,7 @@ class _Ros:
         try:
             rospy.init_node('panel', disable_signals=True)
         except rospy.ROSInitException:      # another node took the name meanwhile
+            self._ended()
             return
         logs.queue_lines()
         watch.start(self._start_again)

@@ -1,6 +1,6 @@
-"""The guard checks Host and Origin of a request; the entrance exchanges tokens for keys."""
+"""The guard checks Host and Origin of a request, the entrance its token."""
 import pytest
-from serial_communication.tools.panel.guard import Entrance, Guard, WrongToken, is_loopback
+from serial_communication.tools.panel.guard import Entrance, Guard, is_loopback
 
 NAMES = ['Robot', 'robot.local']
 GUARD = Guard('0.0.0.0', NAMES)
@@ -41,35 +41,17 @@ def test_only_pages_of_the_same_host_and_port_are_allowed(origin, same):
     assert (GUARD.check_origin(origin, 'robot:8080') == '') == same
 
 
-def test_a_new_token_is_exchanged_once_and_its_key_stays_valid():
-    used = []
-    entrance = Entrance(needed=True)
-    entrance.on_used = lambda: used.append(entrance.token)
-    first = entrance.token
-    key = entrance.exchange(first, 1.0)
-    assert used == [entrance.token] and first not in (key, entrance.token)
-    assert entrance.check_key(key) == ''
-    with pytest.raises(WrongToken, match='has been used already'):
-        entrance.exchange(first, 2.0)
-    other = entrance.exchange(entrance.token, 2.0)
-    assert entrance.check_key(other) == entrance.check_key(key) == '' and other != key
-    assert entrance.check_key(first) == entrance.check_key('\udcff') \
-        == 'its key is not valid any more'
-    assert entrance.check_key(None) == entrance.check_key('') == 'it has no token'
+def test_only_the_token_gets_in():
+    entrance = Entrance('a-token-of-the-tests')
+    assert entrance.check('a-token-of-the-tests') == ''
+    for wrong in 'a-token-of-the-test', 'a-token-of-the-tests ', '\udcff':
+        assert entrance.check(wrong) == 'its token is wrong'
+    assert entrance.check(None) == entrance.check('') == 'it has no token'
 
 
-def test_a_given_token_is_exchanged_any_number_of_times():
-    entrance = Entrance(True, 'a-token-of-the-tests')
-    keys = {entrance.exchange('a-token-of-the-tests', 1.0) for _ in range(3)}
-    assert len(keys) == 3 and entrance.token == 'a-token-of-the-tests'
-    assert entrance.check_key('a-token-of-the-tests')
-
-
-def test_without_a_token_every_page_may_connect_and_none_is_exchanged():
-    entrance = Entrance(needed=False)
-    assert entrance.check_key(None) == '' and entrance.token is None
-    with pytest.raises(WrongToken):
-        entrance.exchange('', 1.0)
+def test_without_a_token_every_page_may_connect():
+    entrance = Entrance(None)
+    assert entrance.check(None) == entrance.check('any') == ''
 
 
 @pytest.mark.parametrize('address, loopback', [
