@@ -179,6 +179,13 @@ def test_bytes_without_a_valid_frame_are_reported_after_5_s(presence, lines):
     assert presence.meaning(113.0) == NO_FRAME
 
 
+def test_a_board_that_only_announces_is_silent(presence, lines):
+    presence.bytes_came(1.0)
+    presence.understood(1.0)
+    presence.log(False, 'the board is silent', 1.5)
+    assert lines() == ['mcu: the board is silent']
+
+
 @pytest.mark.parametrize('kind, level, data', [
     (McuLink, WARN, GARBAGE), (McuLink, WARN, TICKS), (ArduinoLink, WARN, STATUS),
     (BusLink, ERROR, STATUS)])
