@@ -152,7 +152,8 @@ def test_a_port_lost_at_another_time_is_logged_in_order_and_sparingly(line, open
 
 @pytest.fixture
 def soon(monkeypatch):
-    """No valid frame is reported at once."""
+    """No valid frame is reported at once, and no board starts up silently."""
+    monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.0)
     monkeypatch.setattr(presence_module, '_NO_FRAME_TIME', 0.1)
 
 
@@ -200,8 +201,7 @@ def test_a_wrong_board_or_baud_rate_is_a_line_and_a_condition(
     assert state.partition('; heartbeat gap')[0] == words
 
 
-def test_the_words_change_with_what_is_received(line, open_link, lines, soon, monkeypatch):
-    monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.0)
+def test_the_words_change_with_what_is_received(line, open_link, lines, soon):
     link = open_link(McuLink)
     until(lambda: lines('the board is silent'))
     send(line, TICKS, lambda: lines(NO_FRAME))
