@@ -91,10 +91,11 @@ class Presence:
         """
         self.due = now + _LOOK_PERIOD
         meaning = self.meaning(now)
-        may_be_new = not talks and not meaning and now <= self._byte_at + SILENCE
+        may_follow = not talks and not meaning and \
+            self.understood_at + SILENCE < now <= self._byte_at + SILENCE
         state = 'talks' if talks else meaning or silence
         line = 'back' if talks and self._has_talked else state
-        if talks is None or may_be_new or state == self._state \
+        if talks is None or may_follow or state == self._state \
                 or now < self._logged_at.get(line, _NEVER) + _PERIOD:
             return
         if self._state in ('', 'talks'):

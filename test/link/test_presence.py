@@ -152,7 +152,8 @@ def test_a_port_lost_at_another_time_is_logged_in_order_and_sparingly(line, open
 
 @pytest.fixture
 def soon(monkeypatch):
-    """No valid frame is reported at once."""
+    """No valid frame is reported at once, and no board starts up silently."""
+    monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.0)
     monkeypatch.setattr(presence_module, '_NO_FRAME_TIME', 0.1)
 
 
@@ -179,6 +180,13 @@ def test_bytes_without_a_valid_frame_are_reported_after_5_s(presence, lines):
     assert presence.meaning(113.0) == NO_FRAME
 
 
+def test_a_board_that_only_announces_is_silent(presence, lines):
+    presence.bytes_came(1.0)
+    presence.understood(1.0)
+    presence.log(False, 'the board is silent', 1.5)
+    assert lines() == ['mcu: the board is silent']
+
+
 @pytest.mark.parametrize('kind, level, data', [
     (McuLink, WARN, GARBAGE), (McuLink, WARN, TICKS), (ArduinoLink, WARN, STATUS),
     (BusLink, ERROR, STATUS)])
@@ -193,8 +201,7 @@ def test_a_wrong_board_or_baud_rate_is_a_line_and_a_condition(
     assert state.partition('; heartbeat gap')[0] == words
 
 
-def test_the_words_change_with_what_is_received(line, open_link, lines, soon, monkeypatch):
-    monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.0)
+def test_the_words_change_with_what_is_received(line, open_link, lines, soon):
     link = open_link(McuLink)
     until(lambda: lines('the board is silent'))
     send(line, TICKS, lambda: lines(NO_FRAME))
