@@ -64,6 +64,12 @@ def test_outcomes_are_true(board, script, ok_data):
     play(Model(faults, echoes, ok_data), script)
 
 
+def test_without_echo_a_reply_to_the_sync_before_a_stop_is_no_fence():
+    """It arrives behind the next SYNC; the reply to the stop is still under way."""
+    faults = ['none', ('late', 0.25), 'none', 'damage request']
+    play(Model(faults, False), [('lift', 0.0), ('stop', 0.0)])
+
+
 # The board sends OK twice, the second time just after it received the next request.
 TWICE, TWICE_AND_REFUSED = ('double', 0.005), [('lift', 0.012), ('lift', 3.0)]
 OWN = [('own', 0.1), ('own', 3.0), ('own', 3.0)]
