@@ -195,8 +195,10 @@ class Master(Session):
         if call is None:
             return None, _NEVER
         is_fenced = self.state is SessionState.FENCED
+        silent_until = self._last_bytes + self._silence
+        if now >= silent_until:
+            self._silence = FENCE_SILENCE
         if self._needs_fence(call):
-            silent_until = self._last_bytes + FENCE_SILENCE
             is_old = now > self._fenced_at + FENCE_AGE     # rule 10
             if self._echoes and (not is_fenced or is_old and not call.function.repeatable):
                 return self._probe(now), _NEVER

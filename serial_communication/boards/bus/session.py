@@ -132,6 +132,7 @@ class Session:
         self._latest_request: Optional[wire.Request] = None
         self._fenced_at = 0.0          # when the latest fence was complete
         self._last_bytes = 0.0         # when the latest bytes were received
+        self._silence = 0.0            # s since then, before a request to a board that knows no ECHO
         self._unanswered: Dict[Kind, int] = Counter()     # SYNCs and ECHOs in a row
         self._reply_timeout = reply_timeout
         self._log = log
@@ -223,7 +224,7 @@ class Session:
                         'no echo', 'the board answers SYNC but not ECHO, and no call is sent '
                         'before it does; for a board that knows no ECHO set bus/echo to false')
                 if not self._echoes:
-                    self.state = SessionState.IN_STEP
+                    self.state, self._silence = SessionState.IN_STEP, self._reply_timeout
 
 
 def event_of(reply: wire.Reply, is_answer: bool) -> Event:

@@ -117,7 +117,7 @@ class Session:
     def connect(self):
         """Connect to a board that answers SYNC, and the ECHO after it, at once."""
         self.master.connected(self.now)
-        self.play('> SYNC; < SYNC' + '; fence' * self._echoes)
+        self.play('> SYNC; < SYNC;' + ('fence' if self._echoes else 'in step; +T; +0.001'))
         del self.begun_anew[:]
         return self
 
@@ -555,18 +555,21 @@ def test_after_three_unanswered_echoes_no_call_is_sent_until_one_returns(fresh):
     ('the right reply may follow one of a wrong length',
      '+0.021; call two; > two; < OK; two is waiting; < OK:6162; two is done'),
     ('a SYNC and a silence are the way back in step',
-     '+0.021; IT; call lift; > SYNC; < OK; > -; < SYNC; in step; > -; +0.021; > lift',
+     '+0.021; IT; call lift; > SYNC; < OK; > -; < SYNC; in step; > -; +0.49; > -; +0.02; > lift',
      ('call raw; > raw; +M', 'call raw; > raw; damaged', 'noise', '< OK', 'missed')),
     ('a SYNC without an answer is repeated',
-     'noise; > SYNC; +T; lost; > SYNC; < SYNC; +0.021; call lift; > lift'),
+     'noise; > SYNC; +T; lost; > SYNC; < SYNC; +0.51; call lift; > lift'),
+    ('what is received in the silence needs another SYNC',
+     'noise; > SYNC; < SYNC; call lift; +0.3; IT; > SYNC; < SYNC; +0.49; > -; +0.02; > lift',
+     ('< OK', '< SYNC', 'noise')),
     ('after an INVALID a move is not known, and not sent again: no ECHO tells what it was for',
-     '+0.021; call IT; > IT; < REPLY; IT is not known; > SYNC; < SYNC; +0.021; > -',
+     '+0.021; call IT; > IT; < REPLY; IT is not known; > SYNC; < SYNC; +0.51; > -',
      [(name, reply) for name in MOVES for reply in ('INVALID:40', 'INVALID:20')]),
     ('what is repeatable is sent again, and then not known',
-     '+0.021; call air;' + '> air; < INVALID:40; > SYNC; < SYNC; +0.021;' * 3 + 'air is not known'),
+     '+0.021; call air;' + '> air; < INVALID:40; > SYNC; < SYNC; +0.51;' * 3 + 'air is not known'),
     ('a stop is sent again after a SYNC and a silence',
      '+0.021; call lift; > lift; call stop; > stop; lift is not known; > SYNC; +T; > stop; > SYNC;'
-     '< OK SYNC; > -; stop is waiting; +0.021; > stop; < OK; stop is done'),
+     '< OK SYNC; > -; stop is waiting; +0.51; > stop; < OK; stop is done'),
 )
 def test_without_echo(without_echo, script):
     without_echo.play(script)

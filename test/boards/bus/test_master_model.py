@@ -63,6 +63,12 @@ def test_outcomes_are_true(board, script, ok_data):
     play(Model(faults, echoes, ok_data), script)
 
 
+def test_without_echo_a_reply_to_the_sync_before_a_stop_is_no_fence():
+    """It arrives behind the next SYNC; the reply to the stop is still under way."""
+    faults = ['none', ('late', 0.25), 'none', 'damage request']
+    play(Model(faults, False), [('lift', 0.0), ('stop', 0.0)])
+
+
 @pytest.mark.parametrize('fault', FAULTS, ids=str)
 @pytest.mark.parametrize('kind', REQUESTS)
 def test_every_fault_at_every_exchange(fault, kind):
