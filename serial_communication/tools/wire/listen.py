@@ -45,11 +45,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Listen until Ctrl-C, and return the exit status."""
     line = lines.settings(options)
-    listener = _Listener(line, Port(options.port, line.baud))
+    port = Port(options.port, line.baud)
+    listener = _Listener(line, port)
     try:
         listener.run()
     except KeyboardInterrupt:
         print_note(f'{listener.frames} frames, {listener.invalid} of them invalid')
+    finally:
+        port.close()
     return 0
 
 
