@@ -24,7 +24,7 @@ from . import direct, logs, parameters, starting
 from .announced import forget_announced
 from .diagnostics import Diagnostics, log_fault
 from .geometry import publish_mounts
-from .interface import Interface, LinkOptions
+from .interface import LinkOptions
 from .latest_worker import LatestWorker
 from .master import (MasterWatch, full_name, restart, running_node, started_by_roslaunch,
                      wait_for_master)
