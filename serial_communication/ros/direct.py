@@ -5,8 +5,8 @@ else. Waking these threads costs more than sending. Here a message is written to
 socket at once, without blocking. If the socket is full, the rest is queued; one thread for all slow
 subscribers sends the queues as the sockets become writable.
 
-This needs private parts of rospy. If their source is not the one that was looked at, rospy
-publishes as it does everywhere.
+This needs private parts of rospy. If their source is not known, rospy publishes as it does
+everywhere.
 """
 import hashlib
 import inspect

@@ -31,7 +31,7 @@ class _Transport(xmlrpc.client.Transport):
 
 
 def _ask(uri: str, question: str, *arguments: str, patience: float = _PATIENCE) -> Any:
-    """Return the answer of a master or a node; None for a failure. OSError, …: no answer."""
+    """Return the answer of a master or a node; None for a failure. It may raise anything."""
     server = xmlrpc.client.ServerProxy(uri, _Transport(patience))
     code, _text, value = getattr(server, question)(rospy.get_name(), *arguments)
     return value if code == 1 else None

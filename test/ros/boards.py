@@ -13,7 +13,6 @@ import tempfile
 import time
 import unittest
 from typing import Dict, NamedTuple
-from urllib.parse import urlsplit
 
 import rosgraph
 import roslib.packages
@@ -305,12 +304,6 @@ def service(name, service_class):
     """Wait for a service and return its proxy."""
     rospy.wait_for_service(name, PATIENCE)
     return rospy.ServiceProxy(name, service_class)
-
-
-def service_address(name):
-    """The host and port of a service."""
-    parts = urlsplit(rosgraph.Master(rospy.get_name()).lookupService(name))
-    return parts.hostname, parts.port
 
 
 def wait_for_launch(node=PACKAGE):

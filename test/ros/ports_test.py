@@ -1,29 +1,23 @@
 #!/usr/bin/python3
 """Ports that are absent, no ports at all, vanish, or return elsewhere: the node lives, /diagnostics
 says so, data flows again, and nothing old is sent."""
-import io
 import os
 import shutil
 import signal
-import socket
-import struct
 import time
 import unittest
 
 import rospy
 import rostest
-from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_header
-from rospy.msg import serialize_message
 from std_srvs.srv import Trigger
 
-from boards import (ERROR, NOT_SENT, OK, PACKAGE, PATIENCE, SYNC_FRAME, Bridge, BusBoard,
-                    CarBoard, Diagnostics, Line, SensorBoard, Topic, Waiter, again_if_stalled,
-                    level_imu, own_folder, ranges, service, service_address, until)
+from boards import (ERROR, NOT_SENT, OK, PACKAGE, SYNC_FRAME, Bridge, BusBoard, CarBoard,
+                    Diagnostics, Line, SensorBoard, Topic, Waiter, again_if_stalled, level_imu,
+                    own_folder, ranges, service, until)
 from serial_communication.msg import McuStatus2, SerialMsg, Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, Lift, LiftRequest,
-                                      LiftResponse)
+from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
 
 LINKS = 'bus', 'arduino', 'mcu'
 
@@ -241,36 +235,6 @@ class Cut(PortsTest):
             return reading.success      # not if the board is late to answer the ECHO before it
         again_if_stalled(only_the_reading_succeeds)
         until(lambda: proxies['lift'](0, 100).success, 'the lift moves again')
-
-    def test_however_many_call_while_the_bridge_stands_still_no_call_arrives_after_it(self):
-        """The kernel accepts all connections meanwhile, so no caller has to try again later."""
-        until(lambda: self.lift(0, 100).success, 'the lift moves')
-        address = service_address('/cut/lift')
-        arguments = io.BytesIO()
-        serialize_message(arguments, 0, LiftRequest(0, 100))
-        board, process = self.boards['bus'], self.bridge.process
-        board.forget()
-        process.send_signal(signal.SIGSTOP)
-        self.addCleanup(process.send_signal, signal.SIGCONT)
-        os.waitpid(process.pid, os.WUNTRACED)
-        stopped, callers = time.monotonic(), []
-        for _ in range(10):
-            caller = socket.create_connection(address, PATIENCE)
-            self.addCleanup(caller.close)
-            caller.sendall(encode_ros_handshake_header({
-                'callerid': '/ports_test', 'md5sum': Lift._md5sum, 'service': '/cut/lift'}))
-            caller.sendall(arguments.getvalue())
-            callers.append(caller)
-        until(lambda: time.monotonic() > stopped + 1.0, 'a stall')
-        process.send_signal(signal.SIGCONT)
-        for caller in callers:
-            read_ros_handshake_header(caller, io.BytesIO(), 1)
-            is_ok, size = struct.unpack('<BI', caller.recv(5, socket.MSG_WAITALL))
-            self.assertTrue(is_ok)
-            answer = LiftResponse().deserialize(caller.recv(size, socket.MSG_WAITALL))
-            self.assertEqual((answer.success, answer.status, answer.message), (
-                False, NOT_SENT, 'it may have waited while the bridge stalled; nothing was sent'))
-        self.assertEqual(board.others, [])
 
 
 if __name__ == '__main__':
