@@ -81,7 +81,7 @@ static BusResult environment() {
 static const char kRows[] PROGMEM =
     "firmware: ctrl_board 1.3.0\n"
     "pump: {cmd2: 0x30, srv_type: std_srvs/SetBool, request: {layout: '<?', fields: [data]}, timeout: 2.0}\n"
-    "stop: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}\n"
+    "halt: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}\n"
     "tank: {cmd2: 0x32, ros_type: sensor_msgs/FluidPressure, period: 2.0, frame_id: tank,"
     " reply: {layout: '<H', fields: [fluid_pressure], scale: 10, minimum: 0}, constants: {variance: 10000}}\n";
 

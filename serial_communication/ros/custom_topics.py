@@ -20,7 +20,7 @@ from .fields import RosFields, find_type
 from .geometry import FrameBroadcaster
 from .publishing import publisher, wanted
 
-_NODE_SERVICES = {'get_loggers', 'set_logger_level'}    # every rospy node has them
+_NODE_SERVICES = {'get_loggers', 'set_logger_level', 'stop'}     # of the node itself
 ODOMETRY = 'nav_msgs/Odometry'
 MOTIONS = 'geometry_msgs/Twist', 'geometry_msgs/TwistStamped'     # ~stop sends their zero
 _LABEL = 100     # characters of a command's values in a warning

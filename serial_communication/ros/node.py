@@ -4,12 +4,15 @@ import json
 import logging
 import os
 import signal
+import socket
 import sys
 import time
+from contextlib import suppress
 from functools import partial
 from typing import Any, Dict, List
 
 import rospy
+from rospy.impl import tcpros_base
 from std_srvs.srv import Trigger, TriggerResponse
 
 from serial_communication.srv import Release, ReleaseResponse
@@ -164,6 +167,13 @@ def _offer_lending(link: Link) -> None:
         *link.lending.reset()))
 
 
+def _accept_all_calls() -> None:
+    """Let all calls wait that come during a stall. rospy lets six wait, and the others' callers try
+    again seconds later, when a call looks new."""
+    with suppress(AttributeError):      # a private part of rospy
+        tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(socket.SOMAXCONN)
+
+
 class Bridge:
     """All links that have a port, with their diagnostics, transforms and serial_msg.
 
@@ -218,6 +228,7 @@ class Bridge:
         for interface in self._interfaces:
             interface.advertise()
             _offer_lending(interface.link)
+        _accept_all_calls()
         self._announcements.start()
         self._settings_worker.start()
         self._diagnostics.start()

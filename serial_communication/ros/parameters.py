@@ -18,7 +18,7 @@ from .parameter import (RESET_LINE, Parameter, ParameterError, Parameters, frame
                         seconds)
 from .settings import start_values
 
-_COMMON = 'serial_msg', '~get_loggers', '~set_logger_level'     # names of any bridge
+_COMMON = 'serial_msg', '~get_loggers', '~set_logger_level', '~stop'     # names of any bridge
 
 
 def _names(given: Any) -> List[str]:

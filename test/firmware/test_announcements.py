@@ -142,7 +142,7 @@ def test_the_control_board_announces_the_example(firmware_build):
         assert master.function(TYPE) == error(0x8000)
         firmware, rows = rows_in(text)
         assert firmware == 'ctrl_board 1.3.0'
-        named = {name: EXAMPLES['bus']['functions'][name] for name in ('pump', 'stop', 'tank')}
+        named = {name: EXAMPLES['bus']['functions'][name] for name in ('pump', 'halt', 'tank')}
         assert meanings(read_functions(rows)) == meanings(read_functions(named))
 
 

@@ -87,7 +87,7 @@ class ControlBoard(OnBoard):
 
     WORLD, LINK = 'ctrl', 'bus'
     # The motion timeout is in s of the world, which pass sooner than the board's on a busy machine.
-    PARAMETERS = {'bus/motion_timeout': 60.0, 'bus/functions': {'stop': {
+    PARAMETERS = {'bus/motion_timeout': 60.0, 'bus/functions': {'halt': {
         'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True, 'interrupts': True}}}
     AXES = 'lift', 'pan', 'tilt'
 
@@ -158,7 +158,7 @@ class ControlBoard(OnBoard):
         self.assert_moves(all_at_once, lift=(-3, -75, 2), pan=(-1, -10, 2), tilt=(-5, -50, 1))
 
     def test_a_stop_ends_a_move_whose_outcome_is_then_unknown(self):
-        stop = service(self.own('stop'), Trigger)
+        stop = service(self.own('halt'), Trigger)
 
         def is_stopped():
             until_in_step(PACKAGE)

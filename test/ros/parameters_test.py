@@ -115,7 +115,8 @@ class Names(unittest.TestCase):
     def assert_interface(self, *links):
         """The bridge has exactly the topics and services of these links, and those of any node."""
         services = self.expected(links, self.SERVICES) | {
-            '/bridge/%s/%s' % (link, name) for link in links for name in ('release', 'reset')}
+            '/bridge/%s/%s' % (link, name) for link in links for name in ('release', 'reset')} | {
+            '/bridge/stop'}
         until(lambda: self.seen()[2] >= services and '/diagnostics' in self.seen()[0]
               if links else True, 'services of %s' % (links,))
         published, subscribed, served = self.seen()

@@ -12,7 +12,7 @@ from serial_communication.boards.bus.simulator import ControlBoard
 SYNC = bus.encode_request(bus.SYNC_REQUEST)
 LIFT_10 = bus.encode_request(bus.lift(0, 10))
 STOP = bus.Request(bus.FUNCTION, 0x2F)
-STOPS = read_functions({'stop': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True,
+STOPS = read_functions({'halt': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True,
                                  'interrupts': True}})
 
 

@@ -16,7 +16,7 @@ const char kRows[] PROGMEM =
     "water: {cmd2: 0x32, ros_type: sensor_msgs/Temperature, period: 1.0,"
     " reply: {layout: '<h', fields: [temperature], scale: 0.00390625}}\n"
     "door: {cmd2: 0x33, srv_type: std_srvs/SetBool, request: {layout: '<?', fields: [data]}, timeout: 6.0}\n"
-    "stop: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}\n";
+    "halt: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}\n";
 
 const uint8_t kPumpPin = 11;
 const uint8_t kDoorPin = 5;       // its motor
