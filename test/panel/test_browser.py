@@ -986,6 +986,7 @@ def test_the_page_shows_a_restart_of_the_master(control_page, robot, core):
     page.click('#card-wire > summary')
     page.wait(lambda page: page.all('.frame'), 'serial_msg is received')
     page.click('#card-wire > summary')
+    page.errors()       # the panel starts again, too, and refuses connections for a moment
 
 
 def test_the_page_reconnects_after_a_restart_of_the_panel(chromium, robot):
