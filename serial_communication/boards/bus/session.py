@@ -132,7 +132,7 @@ class Session:
         self._latest_request: Optional[wire.Request] = None
         self._fenced_at = 0.0          # when the latest fence was complete
         self._last_bytes = 0.0         # when the latest bytes were received
-        self._silence = 0.0            # s since then, before a request to a board that knows no ECHO
+        self._silence = 0.0            # s since then that are a fence without ECHO
         self._unanswered: Dict[Kind, int] = Counter()     # SYNCs and ECHOs in a row
         self._reply_timeout = reply_timeout
         self._log = log
