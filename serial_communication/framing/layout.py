@@ -265,7 +265,7 @@ class Layout:
     def text(self, values: Sequence) -> str:
         """The values in one line, as NAME=VALUE UNIT; the name ``value`` is left out."""
         return ' '.join(('' if value.name == 'value' else value.name + '=')
-                        + _words(given, value.unit)
+                        + words(given, value.unit)
                         for given, value in zip(values, self.values) if value.name)
 
     def parts(self, data: bytes, unpack: Optional[Callable[[bytes], Tuple]] = None) -> List[Part]:
@@ -338,18 +338,19 @@ def count_values(layout: str, longest: int) -> Optional[int]:
     return None if _size(fixed) > longest else len(_places(fixed, rest))
 
 
-def _words(given: Any, unit: str) -> str:
+def words(given: Any, unit: str) -> str:
+    """A value with its unit, for people."""
     if isinstance(given, str):
         return repr(readable(given))
     if isinstance(given, tuple):
-        words = '[' + ' '.join(_words(number, '') for number in given) + ']'
+        text = '[' + ' '.join(words(number, '') for number in given) + ']'
     elif given is NO_VALUE:
         return 'none'
     elif isinstance(given, bool):
-        words = str(given).lower()
+        text = str(given).lower()
     else:
-        words = f'{given:.6g}' if isinstance(given, float) else str(given)
-    return f'{words} {unit}'.rstrip()
+        text = f'{given:.6g}' if isinstance(given, float) else str(given)
+    return f'{text} {unit}'.rstrip()
 
 
 def brief(given: Any, most: int) -> str:

@@ -247,7 +247,7 @@ class _Decoder:
 
     counts_unknown = True      # see `framing.stream.Decoder`
     needed = _MAX_ENCODED      # bytes of the longest packet: no packet says how long it is
-    _messages: Dict[int, Any] = {}
+    messages: Dict[int, Any] = {}
 
     def __init__(self, check_plausibility: bool = True,
                  messages: Iterable[Type[LayoutMessage]] = ()) -> None:
@@ -255,19 +255,19 @@ class _Decoder:
         # A count over 16 in TIME would give its time to packets of later measurements, and a
         # setting that is NaN is never equal to what is wanted.
         self._unchecked = frozenset(
-            () if check_plausibility else self._messages.keys() - {Time.TYPE, SettingMessage.TYPE})
-        self._messages = dict(self._messages)
-        self._messages.update((message.TYPE, message) for message in messages)
+            () if check_plausibility else self.messages.keys() - {Time.TYPE, SettingMessage.TYPE})
+        self.messages = dict(self.messages)
+        self.messages.update((message.TYPE, message) for message in messages)
         self.received = 0     # bytes
         self.reset()
 
     def add_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode custom messages of this class from now on; from any thread."""
-        self._messages = {**self._messages, kind.TYPE: kind}
+        self.messages = {**self.messages, kind.TYPE: kind}
 
     def remove_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode them no longer; from any thread."""
-        self._messages = {type_: each for type_, each in self._messages.items() if each is not kind}
+        self.messages = {type_: each for type_, each in self.messages.items() if each is not kind}
 
     @property
     def pending(self) -> bool:
@@ -341,7 +341,7 @@ class _Decoder:
             return self._bad(raw, OVERSIZE, f'a packet of {len(packet)} bytes, over {MAX_PACKET}',
                              stamp)
         type_, data = packet[0], packet[1:]
-        kind = self._messages.get(type_)
+        kind = self.messages.get(type_)
         if kind is None:
             return self._bad(raw, UNKNOWN, f'message type {type_} is unknown', stamp, type_, data)
         try:
@@ -384,10 +384,10 @@ class _Decoder:
         encoded = frame[begin:] if end < 0 else frame[begin:end]
         decoded, places, past = cobs.decode_with_places(encoded)
         inner = Parts(decoded)
-        kind = self._messages.get(decoded[0]) if decoded else None
+        kind = self.messages.get(decoded[0]) if decoded else None
         if decoded:
             inner.take_kind('type', {type_: Log.LABELS[type_] if each is Log else each.LABEL
-                                     for type_, each in self._messages.items()}, must_be=True)
+                                     for type_, each in self.messages.items()}, must_be=True)
             if kind is None:
                 inner.take_bytes(len(decoded) - 1, 'data')
             else:
@@ -409,10 +409,10 @@ class _Decoder:
 class Decoder(_Decoder):
     """Decodes what the board sends."""
 
-    _messages = by_type(*FROM_BOARD, Log, Time, SettingMessage, announcement.Chunk)
+    messages = by_type(*FROM_BOARD, Log, Time, SettingMessage, announcement.Chunk)
 
 
 class BoardDecoder(_Decoder):
     """Decodes what is sent to the board; for simulated boards and for displays."""
 
-    _messages = by_type(*TO_BOARD, SettingMessage)
+    messages = by_type(*TO_BOARD, SettingMessage)

@@ -141,7 +141,7 @@ class Decoder(StreamDecoder):
     def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
-        self._messages: Dict[int, Type[LayoutMessage]] = {**BUILT_IN, **by_type(*messages)}
+        self.messages: Dict[int, Type[LayoutMessage]] = {**BUILT_IN, **by_type(*messages)}
 
     def _begin(self) -> None:
         super()._begin()
@@ -150,11 +150,11 @@ class Decoder(StreamDecoder):
 
     def add_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode custom messages of this class from now on; from any thread."""
-        self._messages = {**self._messages, kind.TYPE: kind}
+        self.messages = {**self.messages, kind.TYPE: kind}
 
     def remove_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode them no longer; from any thread."""
-        self._messages = {type_: each for type_, each in self._messages.items() if each is not kind}
+        self.messages = {type_: each for type_, each in self.messages.items() if each is not kind}
 
     def explain(self, frame: bytes) -> List[Part]:
         """The named parts of one frame, valid or not, incomplete, or of noise."""
@@ -162,7 +162,7 @@ class Decoder(StreamDecoder):
         if frame[:1] != bytes((STX,)):
             return parts.take_rest('noise', 'no frame begins with these bytes')
         parts.take(1, 'STX')
-        kind = self._messages.get(frame[2]) if len(frame) > 2 else None
+        kind = self.messages.get(frame[2]) if len(frame) > 2 else None
         length = frame[1] if len(frame) > 1 else MIN_LEN
         error = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
         layout = kind.layout_of(frame[4:5]) if kind else None
@@ -171,7 +171,7 @@ class Decoder(StreamDecoder):
         parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', error)
         if length < MIN_LEN:
             return parts.take_rest('noise', 'bytes after an invalid LEN')
-        parts.take_kind('TYPE', {type_: each.LABEL for type_, each in self._messages.items()})
+        parts.take_kind('TYPE', {type_: each.LABEL for type_, each in self.messages.items()})
         parts.take(1, 'SEQ')
         if kind:
             parts.take_data(length - MIN_LEN, kind.parts)
@@ -204,7 +204,7 @@ class Decoder(StreamDecoder):
         if self.xor(at + 2, end - 1):    # TYPE … CRC: 0 in a valid frame
             return Bad(size, CHECKSUM, 'CRC does not match')
         data = buffer[at + 4:end - 2]
-        seq, kind = buffer[at + 3], self._messages.get(type_)
+        seq, kind = buffer[at + 3], self.messages.get(type_)
         ticks = self._ticks if seq == self._timed_seq else None
         self._ticks, self._timed_seq = None, -1
         if kind is None:
