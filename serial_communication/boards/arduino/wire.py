@@ -16,7 +16,6 @@ from typing import Any, Dict, Iterable, List, Tuple, Type
 from ...framing import announcement, cobs
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type, message_class,
                                readable)
-from ...framing.parts import Part, Parts
 from ...framing.settings import SettingMessage
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
                                invalid_frame)
@@ -60,8 +59,6 @@ class Log(namedtuple('Log', 'severity text')):
         if 2 * unreadable <= len(self.text):
             return ''
         return f'{unreadable} of {len(self.text)} characters are unreadable'
-
-    parts = LAYOUT.parts
 
     @property
     def TYPE(self) -> int:  # noqa: N802 - the type is the severity
@@ -161,14 +158,6 @@ class Imu(LayoutMessage, namedtuple(
     def pack(self) -> bytes:
         """The 22 bytes; struct.error if a number does not fit an int16."""
         return self.LAYOUT.pack_raw(self)
-
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        """The values of the data, each with its bytes."""
-        parts = cls.LAYOUT.parts(data)
-        if cls.LAYOUT.fits(len(data)):
-            parts[0] = parts[0]._replace(error=cls.unpack(data).implausible())
-        return parts
 
     def orientation(self) -> Quaternion:
         """x, y, z, w."""
@@ -367,43 +356,6 @@ class _Decoder:
         self.errors[cause] += cause != UNKNOWN or self.counts_unknown
         self._timed = 0      # the packet may have been one of those that TIME counts
         return invalid_frame(raw, cause, error, stamp, type_, data)
-
-    # -- for `wire explain` -----------------------------------------------------------------
-
-    def explain(self, frame: bytes) -> List[Part]:
-        """The named parts of one packet, valid or not, or incomplete; and empty packets before it.
-
-        A COBS code that replaces a zero belongs to the value with the zero; any other code is a
-        part of its own.
-        """
-        parts = Parts(frame)
-        begin = len(frame) - len(frame.lstrip(b'\0'))
-        if begin:
-            parts.take_bytes(begin, 'empty packet')
-        end = frame.find(b'\0', begin)
-        encoded = frame[begin:] if end < 0 else frame[begin:end]
-        decoded, places, past = cobs.decode_with_places(encoded)
-        inner = Parts(decoded)
-        kind = self.messages.get(decoded[0]) if decoded else None
-        if decoded:
-            inner.take_kind('type', {type_: Log.LABELS[type_] if each is Log else each.LABEL
-                                     for type_, each in self.messages.items()}, must_be=True)
-            if kind is None:
-                inner.take_bytes(len(decoded) - 1, 'data')
-            else:
-                inner.take_data(len(decoded) - 1, kind.parts)
-        for part in inner.found:
-            place = begin + places[part.start] if part.end > part.start else parts.at
-            if place > parts.at:
-                parts.take(place - parts.at, 'COBS code', 'the packet without zeros')
-            last = begin + places[part.end - 1] + 1 if part.end > part.start else parts.at
-            parts.add(part._replace(start=parts.at, end=last))
-        rest = len(frame) if end < 0 else end
-        if rest > parts.at:
-            parts.take(rest - parts.at, 'COBS code')
-        parts.take(1, 'end', error=f'a COBS code points {past} bytes past it' if past else ''
-                   if decoded or end < 0 else 'a packet without a type')
-        return parts.take_rest('noise', 'bytes after the packet')
 
 
 class Decoder(_Decoder):
