@@ -67,8 +67,7 @@ class Numbering(enum.Enum):
     """What the `number` of a frame is."""
 
     NOTHING = 'nothing'
-    FUNCTION = 'function'    # the requested function. The board only replies, once to each request;
-    #                          the decoder of replies has explain(frame, request)
+    FUNCTION = 'function'    # the requested function. The board only replies, once to each request
 
 
 class Heartbeat(NamedTuple):

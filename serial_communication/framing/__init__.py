@@ -12,7 +12,6 @@ Every message class has
     unpack(data)     the message; struct.error if the data has the wrong length
     pack()           the data; ValueError for a value that its place cannot hold
     implausible()    why its values are impossible, or ''
-    parts(data)      which bytes hold which value, for data of any length
     str(message)     one line for people
 
 `layout.message_class` makes the simple classes. The others derive from `layout.LayoutMessage` and

@@ -13,7 +13,6 @@ from collections import namedtuple
 from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from .layout import Layout, LayoutMessage, Value, brief, readable
-from .parts import Part
 
 TYPE = 255           # message type (arduino), TYPE (mcu), CMD2 (bus)
 LONGEST = 2048       # bytes of a text
@@ -45,13 +44,6 @@ class Chunk(LayoutMessage, namedtuple('Chunk', 'index count crc text')):
 
     def pack(self) -> bytes:
         return _HEADER.pack(*self[:3]) + self.text
-
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        parts = cls.LAYOUT.parts(data)
-        if len(data) >= _HEADER.size:
-            parts[0] = parts[0]._replace(error=cls.unpack(data).implausible())
-        return parts
 
     def implausible(self) -> str:
         return '' if self.index < self.count else \

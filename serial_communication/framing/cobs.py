@@ -4,7 +4,7 @@ Reference: S. Cheshire and M. Baker, "Consistent Overhead Byte Stuffing", IEEE/A
 on Networking 7(2), 1999. A block is a code byte n, then n-1 bytes that are not zero, then a
 zero that is left out; code 255 stands for 254 bytes and no zero.
 """
-from typing import List, Optional, Tuple
+from typing import Optional
 
 _BLOCK = 254  # most bytes in one block
 
@@ -53,26 +53,3 @@ def decode_or_none(encoded: bytes) -> Optional[bytes]:
             if code <= _BLOCK and at < size:
                 out.append(0)
     return bytes(out) if at == size else None
-
-
-def decode_with_places(encoded: bytes) -> Tuple[bytes, List[int], int]:
-    """Decode as far as possible, also where the end is missing.
-
-    Returns:
-        the decoded bytes; for each of them its index in `encoded`, where a decoded zero maps to its
-        code byte; and the number of bytes by which the last code runs past the end.
-    """
-    out = bytearray()
-    places: List[int] = []
-    at = past = 0
-    while at < len(encoded):
-        code = encoded[at]
-        run = encoded[at + 1:at + code]
-        out += run
-        places += range(at + 1, at + 1 + len(run))
-        past = max(at + code - len(encoded), 0)
-        at += max(code, 1)
-        if code <= _BLOCK and at < len(encoded):
-            out.append(0)
-            places.append(at)
-    return bytes(out), places, past

@@ -1,6 +1,6 @@
 """Messages that a struct format describes, with a name, a scale and limits for each value.
 
-A `Layout` unpacks, packs, checks and prints such a message, and says which bytes hold which value.
+A `Layout` unpacks, packs, checks and prints such a message.
 `message_class` makes the class of a message from one: the simple messages of all links, and the
 custom messages.
 """
@@ -11,8 +11,6 @@ from contextlib import suppress
 from math import inf, isfinite
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
-
-from .parts import Part, Parts
 
 NUMBERS = 'bBhHiIlLqQefd?'     # struct's codes that hold one number each
 FRACTIONS = 'efd'             # those of them for floats
@@ -265,29 +263,8 @@ class Layout:
     def text(self, values: Sequence) -> str:
         """The values in one line, as NAME=VALUE UNIT; the name ``value`` is left out."""
         return ' '.join(('' if value.name == 'value' else value.name + '=')
-                        + _words(given, value.unit)
+                        + words(given, value.unit)
                         for given, value in zip(values, self.values) if value.name)
-
-    def parts(self, data: bytes, unpack: Optional[Callable[[bytes], Tuple]] = None) -> List[Part]:
-        """The bytes of each value, for `data` of any length.
-
-        Args:
-            unpack: makes the values of the data; None: as the layout does.
-        """
-        whole = len(data) if self.fits(len(data)) else self.size
-        padded = (data + bytes(self.size))[:whole]
-        parts = Parts(data)
-        for raw, given, value in zip(self.raw(padded), (unpack or self.unpack)(padded),
-                                     self.values):
-            parts.take_padding(value.start)
-            end = value.end if value.end >= 0 else whole
-            parts.take_bytes(end - value.start, value.name or 'left out')
-            part = parts.found[-1]._replace(unit=value.unit)
-            parts.found[-1] = part if part.missing else part._replace(
-                raw=raw, value=given, meaning='no value' if given is NO_VALUE else '',
-                error=value.why_implausible(given, *value.limits))
-        parts.take_padding(self.size)
-        return parts.take_rest('surplus', f'{len(data)} bytes of data, not {self.sizes()}')
 
 
 def _split(layout: str) -> Tuple[str, str]:
@@ -338,18 +315,19 @@ def count_values(layout: str, longest: int) -> Optional[int]:
     return None if _size(fixed) > longest else len(_places(fixed, rest))
 
 
-def _words(given: Any, unit: str) -> str:
+def words(given: Any, unit: str) -> str:
+    """A value with its unit, for people."""
     if isinstance(given, str):
         return repr(readable(given))
     if isinstance(given, tuple):
-        words = '[' + ' '.join(_words(number, '') for number in given) + ']'
+        text = '[' + ' '.join(words(number, '') for number in given) + ']'
     elif given is NO_VALUE:
         return 'none'
     elif isinstance(given, bool):
-        words = str(given).lower()
+        text = str(given).lower()
     else:
-        words = f'{given:.6g}' if isinstance(given, float) else str(given)
-    return f'{words} {unit}'.rstrip()
+        text = f'{given:.6g}' if isinstance(given, float) else str(given)
+    return f'{text} {unit}'.rstrip()
 
 
 def brief(given: Any, most: int) -> str:
@@ -395,10 +373,6 @@ class LayoutMessage(tuple):
     def layout_of(cls, data: bytes) -> Layout:
         """The layout that these data should have."""
         return cls.LAYOUT
-
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        return cls.LAYOUT.parts(data)
 
     def __str__(self) -> str:
         return f'{self.LABEL} {self.LAYOUT.text(self)}'.rstrip()

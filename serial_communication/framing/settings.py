@@ -14,7 +14,6 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Tuple, Type
 
 from .custom_messages import Row, RowError, rows
 from .layout import FRACTIONS, Layout, LayoutMessage, Value
-from .parts import Part
 
 TYPE = 253               # message type (arduino), TYPE (mcu)
 KEY = 'setting'          # a row with this key is a setting
@@ -162,11 +161,6 @@ class SettingMessage(LayoutMessage, namedtuple('SettingMessage', 'number value')
 
     def implausible(self) -> str:
         return self._layout.implausible(self)
-
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        layout = cls.layout_of(data)
-        return layout.parts(data, lambda padded: cls.read(layout, padded))
 
     def __str__(self) -> str:
         return f'{self.LABEL} {self._layout.text(self)}'

@@ -12,11 +12,8 @@ Bytes in no frame are noise, which is returned when it ends.
 import re
 from bisect import bisect_left
 from collections import deque
-from copy import copy
 from functools import partial
 from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Protocol, Tuple, Union
-
-from .parts import Part, Parts
 
 CHECKSUM = 'checksum'        # a whole frame whose checksum does not match
 FRAMING = 'framing'          # bytes in no frame: noise, a false length, an incomplete frame
@@ -115,10 +112,6 @@ class Decoder(Protocol):
 
     def reset(self) -> None:
         """Drop what is pending, as after a reconnect; the counts stay."""
-
-    def explain(self, frame: bytes) -> List[Part]:
-        """The parts of one frame; here one part with all bytes."""
-        return Parts(frame).take_rest('frame', '')
 
 
 def running_xor(data: bytes, before: int) -> bytes:
@@ -235,32 +228,6 @@ class StreamDecoder:
     def frame_at(self, at: int) -> Union[Good, Bad, Need]:
         """What begins at this index of the buffer, where one of `STARTS` is."""
         raise NotImplementedError
-
-    def explain(self, frame: bytes) -> List[Part]:
-        """The parts of one frame: the bytes before its payload, the payload, and those after it.
-
-        A decoder may override it with more detail.
-        """
-        apart = copy(self)      # so that neither what is pending nor the counts change
-        apart.errors = dict(self.errors)
-        apart.reset()
-        frames, parts = apart.feed(frame), Parts(frame)
-        if not apart.begun:
-            frames += apart.give_up()
-        if not frames:
-            if frame:
-                parts.take_bytes(apart.front - self.received + apart.needed, 'frame')
-            return parts.found
-        first = frames[0]
-        start, payload, end = first.raw.partition(first.data) if first.data else \
-            (first.raw, b'', b'')
-        parts.take_bytes(len(start), 'start' if payload else 'frame',
-                         error='' if payload else first.error)
-        if payload:
-            parts.take_bytes(len(payload), 'payload', str(first.message or ''), first.error)
-        if end:
-            parts.take_bytes(len(end), 'end')
-        return parts.take_rest('more', 'does not belong to the frame')
 
     def xor(self, start: int, end: int) -> int:
         """The XOR of buffer[start:end], in constant time."""

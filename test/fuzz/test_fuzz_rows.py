@@ -96,7 +96,6 @@ def test_any_row_is_accepted_or_refused_with_one_line(case, data):
         if layout.fits(len(received)):
             values = layout.unpack(received)
             layout.text(values)
-            layout.parts(received)
             if not is_command and not layout.implausible(values) and not fields.lacks(values):
                 fields.fill(message, values).serialize(BytesIO())
     back = layout if rows_of == 'messages' else custom.request

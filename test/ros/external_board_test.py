@@ -21,7 +21,7 @@ PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'developing.md'
 _FILE = re.compile(r'<!-- file: (\S+) -->\n```\w+\n(.*?)^```$', re.MULTILINE | re.DOTALL)
 GUST = b'$WIMWV,090.0,R,012.5,M,A*2F\r\n'      # checked by hand: the XOR of all between $ and *
 TEXT = 'wind from 90 degrees, 12.5 m/s'
-PARTS = ['start', 'payload', 'end']
+PARTS = ['frame']
 
 
 class Program:

@@ -60,16 +60,17 @@ def test_a_bus_request_is_explained_by_its_values(case):
 
 @pytest.mark.parametrize('case', BUS['replies'], ids=lambda case: case['frame'])
 def test_a_bus_reply_is_explained_by_its_values(case):
-    each = only('bus', hexed(case['frame']))
+    asked = re.search(r'smoke (\d+), (\S+) C, (\S+) %', case['name'])
+    request = bus.encode_request(bus.ENVIRONMENT_REQUEST if asked else bus.SYNC_REQUEST)
+    *_, each = explain.explain(request + hexed(case['frame']), settings('bus'))
     assert not each.sent and not each.trouble
     assert value_of(each, 'CMD1') == case['cmd1']
     assert b''.join(part.data for part in each.parts[3:-1]) == hexed(case['data'])
     if 'error' in case:
         assert value_of(each, 'error code') == case['error']
-    values = re.search(r'smoke (\d+), (\S+) C, (\S+) %', case['name'])
-    if values:
+    if asked:
         assert [value_of(each, name) for name in ('smoke', 'temperature', 'humidity')] == [
-            float(number) for number in values.groups()]
+            pytest.approx(float(number)) for number in asked.groups()]
 
 
 @pytest.mark.parametrize('case', MCU, ids=lambda case: case['frame'])
@@ -124,7 +125,7 @@ def is_complete(data, found, link):
 
 @pytest.mark.parametrize('link', LINKS)
 def test_a_damaged_stream_is_explained_with_all_its_bytes(link):
-    """For the parts of any bytes as one frame, see boards/test_explain."""
+    """For the parts of any bytes as one frame, see test_wire_fields."""
     for seed in range(20):
         data = damaged_stream(link, seed, 40)
         found = explain.explain(data, settings(link))
@@ -210,7 +211,7 @@ def test_settings_that_a_board_announces_are_known_in_both_directions():
     chunks = b''.join(map(arduino.encode, chunks_of(b'kp: {setting: 1, layout: "<f"}\n', 20)))
     packet = arduino.encode_raw(253, b'\1' + struct.pack('<f', 2.2))
     found = explain.explain(packet + chunks, settings('arduino'))
-    assert value_of(found[0], 'kp') == 2.2 and not found[0].trouble
+    assert value_of(found[0], 'kp') == pytest.approx(2.2) and not found[0].trouble
     frame = mcu.encode_raw(253, 7, b'\2\x64\0')
     each = only('mcu', frame, parameters={'settings': {'ramp': {'setting': 2, 'layout': '<H'}}})
     assert value_of(each, 'ramp') == 100 and str(each.frame.message) == 'setting number=2 ramp=100'

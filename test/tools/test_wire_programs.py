@@ -186,14 +186,14 @@ def test_another_board_is_explained_by_its_package_and_by_its_link(scale_config)
     both = HOLD.hex() + load_frame(123).hex()
     by_package = run('explain', 'crane_scale', both)
     assert by_package.returncode == 0, by_package.stderr
-    assert re.search(r'7b 00 +value +12.3 kg \(sent as 123\)', by_package.stdout)
+    assert re.search(r'3a 31 30 37 62 .* frame +load 12.3 kg', by_package.stdout)
     assert run('explain', 'scale', both, '--config', scale_config).stdout == by_package.stdout
     tilt = scale.encode_raw(b'\3\7\x64\0')
     done = run('explain', 'scale', '--config', scale_config, tilt.hex())
-    assert done.returncode == 0 and 'tilt' in done.stdout and '(sent as 100)' in done.stdout
+    assert done.returncode == 0 and 'frame             tilt data=1\n' in done.stdout
     done = run('explain', 'crane_scale', tilt.hex(), load_frame(5).hex()[:-2])
     assert done.returncode == 1
-    assert 'not known here' in done.stdout and 'incomplete' in done.stdout
+    assert 'the unknown type 0x03' in done.stdout and 'incomplete' in done.stdout
 
 
 @pytest.mark.parametrize('by_config', (False, True), ids=('by its package', 'by its link'))

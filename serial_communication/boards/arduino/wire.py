@@ -16,7 +16,6 @@ from typing import Any, Dict, Iterable, List, Tuple, Type
 from ...framing import announcement, cobs
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type, message_class,
                                readable)
-from ...framing.parts import Part, Parts
 from ...framing.settings import SettingMessage
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
                                invalid_frame)
@@ -60,8 +59,6 @@ class Log(namedtuple('Log', 'severity text')):
         if 2 * unreadable <= len(self.text):
             return ''
         return f'{unreadable} of {len(self.text)} characters are unreadable'
-
-    parts = LAYOUT.parts
 
     @property
     def TYPE(self) -> int:  # noqa: N802 - the type is the severity
@@ -162,14 +159,6 @@ class Imu(LayoutMessage, namedtuple(
         """The 22 bytes; struct.error if a number does not fit an int16."""
         return self.LAYOUT.pack_raw(self)
 
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        """The values of the data, each with its bytes."""
-        parts = cls.LAYOUT.parts(data)
-        if cls.LAYOUT.fits(len(data)):
-            parts[0] = parts[0]._replace(error=cls.unpack(data).implausible())
-        return parts
-
     def orientation(self) -> Quaternion:
         """x, y, z, w."""
         return (self.qy * _QUATERNION, -self.qx * _QUATERNION, self.qz * _QUATERNION,
@@ -247,7 +236,7 @@ class _Decoder:
 
     counts_unknown = True      # see `framing.stream.Decoder`
     needed = _MAX_ENCODED      # bytes of the longest packet: no packet says how long it is
-    _messages: Dict[int, Any] = {}
+    messages: Dict[int, Any] = {}
 
     def __init__(self, check_plausibility: bool = True,
                  messages: Iterable[Type[LayoutMessage]] = ()) -> None:
@@ -255,19 +244,19 @@ class _Decoder:
         # A count over 16 in TIME would give its time to packets of later measurements, and a
         # setting that is NaN is never equal to what is wanted.
         self._unchecked = frozenset(
-            () if check_plausibility else self._messages.keys() - {Time.TYPE, SettingMessage.TYPE})
-        self._messages = dict(self._messages)
-        self._messages.update((message.TYPE, message) for message in messages)
+            () if check_plausibility else self.messages.keys() - {Time.TYPE, SettingMessage.TYPE})
+        self.messages = dict(self.messages)
+        self.messages.update((message.TYPE, message) for message in messages)
         self.received = 0     # bytes
         self.reset()
 
     def add_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode custom messages of this class from now on; from any thread."""
-        self._messages = {**self._messages, kind.TYPE: kind}
+        self.messages = {**self.messages, kind.TYPE: kind}
 
     def remove_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode them no longer; from any thread."""
-        self._messages = {type_: each for type_, each in self._messages.items() if each is not kind}
+        self.messages = {type_: each for type_, each in self.messages.items() if each is not kind}
 
     @property
     def pending(self) -> bool:
@@ -341,7 +330,7 @@ class _Decoder:
             return self._bad(raw, OVERSIZE, f'a packet of {len(packet)} bytes, over {MAX_PACKET}',
                              stamp)
         type_, data = packet[0], packet[1:]
-        kind = self._messages.get(type_)
+        kind = self.messages.get(type_)
         if kind is None:
             return self._bad(raw, UNKNOWN, f'message type {type_} is unknown', stamp, type_, data)
         try:
@@ -368,51 +357,14 @@ class _Decoder:
         self._timed = 0      # the packet may have been one of those that TIME counts
         return invalid_frame(raw, cause, error, stamp, type_, data)
 
-    # -- for `wire explain` -----------------------------------------------------------------
-
-    def explain(self, frame: bytes) -> List[Part]:
-        """The named parts of one packet, valid or not, or incomplete; and empty packets before it.
-
-        A COBS code that replaces a zero belongs to the value with the zero; any other code is a
-        part of its own.
-        """
-        parts = Parts(frame)
-        begin = len(frame) - len(frame.lstrip(b'\0'))
-        if begin:
-            parts.take_bytes(begin, 'empty packet')
-        end = frame.find(b'\0', begin)
-        encoded = frame[begin:] if end < 0 else frame[begin:end]
-        decoded, places, past = cobs.decode_with_places(encoded)
-        inner = Parts(decoded)
-        kind = self._messages.get(decoded[0]) if decoded else None
-        if decoded:
-            inner.take_kind('type', {type_: Log.LABELS[type_] if each is Log else each.LABEL
-                                     for type_, each in self._messages.items()}, must_be=True)
-            if kind is None:
-                inner.take_bytes(len(decoded) - 1, 'data')
-            else:
-                inner.take_data(len(decoded) - 1, kind.parts)
-        for part in inner.found:
-            place = begin + places[part.start] if part.end > part.start else parts.at
-            if place > parts.at:
-                parts.take(place - parts.at, 'COBS code', 'the packet without zeros')
-            last = begin + places[part.end - 1] + 1 if part.end > part.start else parts.at
-            parts.add(part._replace(start=parts.at, end=last))
-        rest = len(frame) if end < 0 else end
-        if rest > parts.at:
-            parts.take(rest - parts.at, 'COBS code')
-        parts.take(1, 'end', error=f'a COBS code points {past} bytes past it' if past else ''
-                   if decoded or end < 0 else 'a packet without a type')
-        return parts.take_rest('noise', 'bytes after the packet')
-
 
 class Decoder(_Decoder):
     """Decodes what the board sends."""
 
-    _messages = by_type(*FROM_BOARD, Log, Time, SettingMessage, announcement.Chunk)
+    messages = by_type(*FROM_BOARD, Log, Time, SettingMessage, announcement.Chunk)
 
 
 class BoardDecoder(_Decoder):
     """Decodes what is sent to the board; for simulated boards and for displays."""
 
-    _messages = by_type(*TO_BOARD, SettingMessage)
+    messages = by_type(*TO_BOARD, SettingMessage)

@@ -8,9 +8,9 @@ from .functions import read_functions
 
 
 def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
-    functions = read_functions(parameters.get('functions') or {})
-    return wire.RequestDecoder(functions=functions) if sent else wire.ReplyDecoder(
-        bool(parameters.get('reply_has_cmd2')), functions=functions)
+    read_functions(parameters.get('functions') or {})      # RowError for a mistake
+    return wire.RequestDecoder() if sent else wire.ReplyDecoder(
+        bool(parameters.get('reply_has_cmd2')))
 
 
 # What the forms of some functions show beyond the types of their services.

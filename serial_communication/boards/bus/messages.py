@@ -1,9 +1,8 @@
 """The messages of robot-ctrl-bus, and the functions that requests call; wire.py has the frames."""
-from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Dict, Iterable, NamedTuple, Optional, Sequence, Tuple
 
 from ...framing import announcement
 from ...framing.layout import Layout, Value
-from ...framing.parts import Part
 from ...framing.stream import IMPLAUSIBLE, LENGTH
 
 # CMD1 of a request; a SYNC or ECHO reply has the same.
@@ -119,11 +118,6 @@ class Environment(_EnvironmentValues):
         return self.LAYOUT.pack_raw((self.smoke, round(self.temperature * 100),
                                      round(self.humidity * 100)))
 
-    @classmethod
-    def parts(cls, data: bytes) -> List[Part]:
-        """The values of the DATE, each with its bytes."""
-        return cls.LAYOUT.parts(data, cls.unpack)
-
     def __str__(self) -> str:
         return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'
 
@@ -195,13 +189,6 @@ class Function(NamedTuple):
         if self.directions and len(data) == 2 and data[0] < len(self.directions):
             return f'{self.name} {self.directions[data[0]]} {data[1]} {self.request.values[1].unit}'
         return ''
-
-    def request_parts(self, data: bytes) -> List[Part]:
-        """The values of a request's DATE, each with its bytes."""
-        parts = self.request.parts(data)
-        if self.directions and parts[0].raw is not None and not parts[0].error:
-            parts[0] = parts[0]._replace(meaning=self.directions[parts[0].raw])
-        return parts
 
     def data_error(self, reply: Reply) -> Tuple[str, str]:
         """The cause, LENGTH or IMPLAUSIBLE, and what is wrong with the DATE of an OK; '' if nothing

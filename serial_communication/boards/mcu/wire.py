@@ -11,12 +11,11 @@ a frame, modulo 256. Little-endian. Only the board sends, except for settings.
 import struct
 from collections import namedtuple
 from math import isnan, nan
-from typing import Dict, Iterable, List, Optional, Type, Union
+from typing import Dict, Iterable, Optional, Type, Union
 
 from ...framing.announcement import Chunk
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type,
                                message_class)
-from ...framing.parts import Part, Parts
 from ...framing.settings import SettingMessage
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
@@ -64,19 +63,6 @@ class SensorStatus(LayoutMessage, namedtuple(
             (round(angle * 100) + 0x8000) % 0x10000 - 0x8000
             for angle in (self.yaw, self.pitch, self.roll)]
         return self.LAYOUT.pack_raw((self.range_1, self.range_2, *wrapped))
-
-    @classmethod
-    def parts(cls, payload: bytes) -> List[Part]:
-        """The values of the payload, each with its bytes."""
-        parts = cls.LAYOUT.parts(payload, cls.unpack)
-        for index, part in enumerate(parts):
-            if part.unit == 'mm' and part.raw == RANGE_TIMED_OUT:
-                parts[index] = part._replace(meaning='the sensor timed out')
-            elif part.name == 'yaw' and part.raw is not None and part.raw < -18000:
-                parts[index] = part._replace(meaning='a heading that wrapped')
-        if [part.raw for part in parts[3:5]] == [ANGLE_UNKNOWN, ANGLE_UNKNOWN]:
-            parts[2:5] = [part._replace(meaning='the IMU did not answer') for part in parts[2:5]]
-        return parts
 
     @property
     def angles_known(self) -> bool:
@@ -141,7 +127,7 @@ class Decoder(StreamDecoder):
     def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
         super().__init__()
         self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
-        self._messages: Dict[int, Type[LayoutMessage]] = {**BUILT_IN, **by_type(*messages)}
+        self.messages: Dict[int, Type[LayoutMessage]] = {**BUILT_IN, **by_type(*messages)}
 
     def _begin(self) -> None:
         super()._begin()
@@ -150,37 +136,11 @@ class Decoder(StreamDecoder):
 
     def add_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode custom messages of this class from now on; from any thread."""
-        self._messages = {**self._messages, kind.TYPE: kind}
+        self.messages = {**self.messages, kind.TYPE: kind}
 
     def remove_message(self, kind: Type[LayoutMessage]) -> None:
         """Decode them no longer; from any thread."""
-        self._messages = {type_: each for type_, each in self._messages.items() if each is not kind}
-
-    def explain(self, frame: bytes) -> List[Part]:
-        """The named parts of one frame, valid or not, incomplete, or of noise."""
-        parts = Parts(frame)
-        if frame[:1] != bytes((STX,)):
-            return parts.take_rest('noise', 'no frame begins with these bytes')
-        parts.take(1, 'STX')
-        kind = self._messages.get(frame[2]) if len(frame) > 2 else None
-        length = frame[1] if len(frame) > 1 else MIN_LEN
-        error = '' if length >= MIN_LEN else f'should be {MIN_LEN} at least'
-        layout = kind.layout_of(frame[4:5]) if kind else None
-        if layout and length >= MIN_LEN and not layout.fits(length - MIN_LEN):
-            error = f'should be {MIN_LEN} more than {layout.sizes()}'
-        parts.take(1, 'LEN', 'bytes of TYPE, SEQ and PAYLOAD', error)
-        if length < MIN_LEN:
-            return parts.take_rest('noise', 'bytes after an invalid LEN')
-        parts.take_kind('TYPE', {type_: each.LABEL for type_, each in self._messages.items()})
-        parts.take(1, 'SEQ')
-        if kind:
-            parts.take_data(length - MIN_LEN, kind.parts)
-        else:
-            parts.take_bytes(length - MIN_LEN, 'PAYLOAD')
-        parts.take_checksum('CRC', frame[2:2 + length])
-        parts.take(1, 'ETX', error='' if frame[length + 3:length + 4] in (b'', b'\3')
-                   else 'should be 0x03')
-        return parts.take_rest('noise', 'bytes after the frame')
+        self.messages = {type_: each for type_, each in self.messages.items() if each is not kind}
 
     def frame_at(self, at: int) -> Union[Good, Bad, Need]:
         buffer = self.buffer
@@ -204,7 +164,7 @@ class Decoder(StreamDecoder):
         if self.xor(at + 2, end - 1):    # TYPE … CRC: 0 in a valid frame
             return Bad(size, CHECKSUM, 'CRC does not match')
         data = buffer[at + 4:end - 2]
-        seq, kind = buffer[at + 3], self._messages.get(type_)
+        seq, kind = buffer[at + 3], self.messages.get(type_)
         ticks = self._ticks if seq == self._timed_seq else None
         self._ticks, self._timed_seq = None, -1
         if kind is None:

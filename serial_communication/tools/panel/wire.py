@@ -3,8 +3,9 @@ from typing import Any, Dict, Iterable, List, Tuple
 
 from ...boards.config_file import board_parameters
 from ...boards.description import Description
-from ...framing.parts import Part
-from ...framing.stream import Decoder
+from ...framing.layout import words
+from ..wire.fields import Explainer, Part
+from ..wire.lines import Settings
 
 _MAX_BYTES = 300       # of a frame that are shown; valid frames of the built-in boards are shorter
 
@@ -18,14 +19,15 @@ class FrameExplainer:
     """
 
     def __init__(self, boards: Iterable[Description], parameters: Any) -> None:
-        self._decoders: Dict[Tuple[str, bool], Decoder] = {}
+        self._explainers: Dict[Tuple[str, bool], Explainer] = {}
         for board in boards:
             for sent in (False, True):
+                own = board_parameters(parameters, board.name)
                 try:
-                    decoder = board.decoder(sent, board_parameters(parameters, board.name))
+                    explainer = Explainer(Settings(board, 0, own), sent)
                 except ValueError:      # a bridge with such parameters does not start
-                    decoder = board.decoder(sent, {})
-                self._decoders[board.name, sent] = decoder
+                    explainer = Explainer(Settings(board, 0), sent)
+                self._explainers[board.name, sent] = explainer
 
     def explain(self, message: Any, at: float) -> List[Any]:
         """[time, link, sent, type, text, error, bytes in hex, parts] of one SerialMsg.
@@ -33,8 +35,8 @@ class FrameExplainer:
         A part is [name, index of its first byte, index after its last, value as text, error].
         """
         raw = bytes(message.frame[:_MAX_BYTES])
-        decoder = self._decoders.get((message.link, bool(message.direction)))
-        parts = decoder.explain(raw) if decoder else []
+        explainer = self._explainers.get((message.link, bool(message.direction)))
+        parts = explainer.parts(raw) if explainer else []
         return [round(at, 4), message.link, message.direction, message.type, message.text,
                 message.error, raw.hex(), [[part.name, part.start, part.end, _value_text(part),
                                             part.error] for part in parts]]
@@ -42,9 +44,5 @@ class FrameExplainer:
 
 def _value_text(part: Part) -> str:
     """The part's value with its unit and its meaning."""
-    value = part.raw if part.value is None else part.value
-    text = part.data.hex(' ') if value is None else \
-        f'{value:.6g}' if isinstance(value, float) else str(value)
-    if part.meaning:
-        return f'{text} {part.unit} ({part.meaning})' if part.unit else f'{text} ({part.meaning})'
-    return f'{text} {part.unit}' if part.unit else text
+    text = part.data.hex(' ') if part.value is None else words(part.value, part.unit)
+    return f'{text} ({part.meaning})' if part.meaning else text

@@ -17,11 +17,11 @@ import re
 import sys
 from typing import Any, Iterable, List, NamedTuple, Optional, Sequence, Tuple
 
-from ...boards.description import Numbering
-from ...framing.parts import Part
+from ...framing.layout import words
 from ...framing.stream import FRAMING, Frame
 from . import lines
 from .announced import with_announced
+from .fields import NOT_KNOWN, Explainer, Part
 from .lines import Settings
 from .show import Paint, hexed
 
@@ -43,14 +43,9 @@ class Explained(NamedTuple):
     parts: List[Part]
 
     @property
-    def missing(self) -> int:
-        """The number of fields with missing bytes."""
-        return sum(bool(part.missing) for part in self.parts)
-
-    @property
     def trouble(self) -> str:
         """What is wrong with it, in one line; '' if it is valid."""
-        if self.frame.cause == FRAMING and self.missing:
+        if self.frame.cause == FRAMING and any(part.missing for part in self.parts):
             return 'incomplete'
         return self.frame.trouble or '; '.join(part.error for part in self.parts if part.error)
 
@@ -153,7 +148,8 @@ def _split(data: bytes, line: Settings, sent: bool) -> List[Tuple[int, Explained
 
     Together they have all bytes of `data`.
     """
-    decoder = lines.decoder(line, sent)
+    explainer = Explainer(line, sent)
+    decoder = explainer.decoder
     frames = decoder.feed(data, 0.0)
     while decoder.pending:
         frames += decoder.give_up()
@@ -162,7 +158,14 @@ def _split(data: bytes, line: Settings, sent: bool) -> List[Tuple[int, Explained
     end = at = 0
 
     def add(start: int, frame: Frame) -> None:
-        found.append((start, Explained(sent, frame, decoder.explain(frame.raw))))
+        found.append((start, Explained(sent, frame, explainer.parts(frame.raw))))
+
+    def noise(start: int, behind: int) -> None:
+        rest = data[start:behind].lstrip(nothing)
+        if rest:
+            add(behind - len(rest), Frame(
+                rest, 0, 0, b'', None, None, FRAMING,
+                f'{len(rest)} bytes outside frames' if len(rest) > 1 else '1 byte outside frames'))
 
     for frame in frames:
         start = data.find(frame.raw, at)
@@ -170,43 +173,33 @@ def _split(data: bytes, line: Settings, sent: bool) -> List[Tuple[int, Explained
             at = data.find(nothing, start + len(frame.raw) - 1) + 1 or len(data)
         if frame.cause == FRAMING or start < 0:
             continue     # a noise frame may quote only a part; noise is what no other frame has
-        if data[end:start].strip(nothing):
-            add(end, _noise(data[end:start]))
+        noise(end, start)
         add(start, frame)
         end = max(end, start + len(frame.raw))
         if not nothing:     # the next frame may begin inside an invalid one
             at = start + 1 if frame.cause else end
-    if data[end:].strip(nothing):
-        add(end, _noise(data[end:]))
+    noise(end, len(data))
     return found
-
-
-def _noise(data: bytes) -> Frame:
-    return Frame(data, 0, 0, b'', None, None, FRAMING,
-                 f'{len(data)} bytes outside frames' if len(data) > 1 else
-                 '1 byte outside frames')
 
 
 def _plausibility(found: Sequence[Explained]) -> Tuple[int, int, int]:
     """The sort key of a guess at the sender: more valid bytes, then fewer wrong fields."""
     parts = [part for each in found for part in each.parts]
     return (sum(len(each.frame.raw) for each in found if not each.trouble),
-            -sum(bool(part.error or part.kind == '') for part in parts),
-            -sum(each.missing for each in found))
+            -sum(bool(part.error or part.meaning == NOT_KNOWN) for part in parts),
+            -sum(part.missing > 0 for part in parts))
 
 
 def _match_replies(found: Sequence[Explained], line: Settings) -> List[Explained]:
     """Explain each reply again with the request before it, which defines the reply's DATE."""
-    if line.board.numbering is not Numbering.FUNCTION:
-        return list(found)
+    replies = Explainer(line, False)
     matched: List[Explained] = []
     request: Any = None
     for each in found:
         if each.sent:
             request = each.frame.message
         elif request:
-            replies: Any = lines.decoder(line, False)      # see Numbering.FUNCTION
-            each = each._replace(parts=replies.explain(each.frame.raw, request))
+            each = each._replace(parts=replies.parts(each.frame.raw, request))
             request = None
         matched.append(each)
     return matched
@@ -219,40 +212,28 @@ def render(each: Explained, paint: Paint) -> str:
     """Return a frame as text: a line for the whole, and lines for each part."""
     sender = 'computer' if each.sent else 'board'
     raw = each.frame.raw
-    words = paint(each.trouble, 'bad') if each.trouble else each.frame.text
-    text = [f'{paint("from the " + sender, sender)}, {len(raw)} bytes: {words}']
+    text = paint(each.trouble, 'bad') if each.trouble else each.frame.text
+    lined = [f'{paint("from the " + sender, sender)}, {len(raw)} bytes: {text}']
     is_encoded = any(part.data != raw[part.start:part.end] for part in each.parts)
     if is_encoded:
-        text.append(paint(f'  {"on the wire":25}{"decoded":25}', 'dim'))
+        lined.append(paint(f'  {"on the wire":25}{"decoded":25}', 'dim'))
     for part in each.parts:
-        text += _render_part(part, raw, is_encoded, paint)
-    return '\n'.join(text)
+        lined += _render_part(part, raw, is_encoded, paint)
+    return '\n'.join(lined)
 
 
 def _render_part(part: Part, raw: bytes, is_encoded: bool, paint: Paint) -> List[str]:
     wire, data = raw[part.start:part.end], part.data
-    words = [_value(part), part.meaning, paint(part.error, 'bad')]
+    value = '' if part.value is None else words(part.value, part.unit)
+    if part.value != part.raw:
+        value += f' (sent as {words(part.raw, "")})'
+    notes = [value, part.meaning, paint(part.error, 'bad')]
     text = []
     for at in range(0, max(len(wire), len(data), 1), _MOST_BYTES):
         columns = f'  {hexed(wire[at:at + _MOST_BYTES]):25}'
         if is_encoded:
             columns += f'{hexed(data[at:at + _MOST_BYTES]):25}'
         if not at:
-            columns += f'{part.name:18}' + '  '.join(word for word in words if word)
+            columns += f'{part.name:18}' + '  '.join(note for note in notes if note)
         text.append(columns.rstrip())
     return text
-
-
-def _value(part: Part) -> str:
-    if part.value is None:
-        return ''
-    shown = f'{_number(part.value)} {part.unit}'.rstrip()
-    return shown if part.raw == part.value else f'{shown} (sent as {_number(part.raw)})'
-
-
-def _number(value: Any) -> str:
-    if isinstance(value, str):
-        return repr(value)
-    if isinstance(value, tuple):
-        return '[' + ' '.join(map(_number, value)) + ']'
-    return f'{value:.6g}' if isinstance(value, float) else str(value)

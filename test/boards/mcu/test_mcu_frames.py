@@ -117,8 +117,6 @@ def test_pitch_and_roll_of_the_marker_are_unknown_angles(yaw):
     assert not message.angles_known and not message.valid
     assert str(message) == 'sensor status: 400 mm 500 mm, angles unknown'
     assert message.pack() == struct.pack('<HHhhh', 400, 500, 0, -0x8000, -0x8000)
-    meanings = [part.meaning for part in mcu.SensorStatus.parts(frame.data)]
-    assert meanings[2:] == ['the IMU did not answer'] * 3
 
 
 @pytest.mark.parametrize('pitch, roll', [(-0x8000, 0), (0, -0x8000), (-0x7FFF, -0x8000)])

@@ -2,7 +2,6 @@
 from typing import Iterable
 
 from serial_communication.framing.layout import Value, message_class
-from serial_communication.framing.parts import Parts
 from serial_communication.framing.stream import (CHECKSUM, FRAMING, UNKNOWN, Bad, Good, Need,
                                                  StreamDecoder, running_xor)
 
@@ -47,24 +46,3 @@ class Decoder(StreamDecoder):
         kind, data = self._messages.get(body[0]), body[2:-1]
         message = kind.unpack(data) if kind and kind.LAYOUT.fits(len(data)) else None
         return Good(size, body[0], body[1], data, message)
-
-    def explain(self, frame: bytes):
-        parts = Parts(frame)
-        parts.take(1, 'start')
-        digits = frame[1:].rstrip(b'\n')
-        try:
-            body = bytes.fromhex(digits[:len(digits) // 2 * 2].decode())
-        except ValueError:
-            return parts.take_rest('noise', 'no hex digits')
-        inner = Parts(body)
-        kind = self._messages.get(inner.take_kind('TYPE', {
-            type_: each.LABEL for type_, each in self._messages.items()}))
-        inner.take(1, 'number')
-        if kind:
-            inner.take_data(kind.LAYOUT.size, kind.parts)
-        inner.take_bytes(max(inner.left - 1, 0), 'DATA')
-        inner.take_checksum('XOR', body[:inner.at])
-        for part in inner.found:
-            parts.add(part._replace(start=1 + 2 * part.start, end=1 + 2 * part.end))
-        parts.take(1, 'end')
-        return parts.take_rest('noise', 'bytes after the frame')
