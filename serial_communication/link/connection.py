@@ -1,4 +1,4 @@
-"""The connection to one board: the port, and the thread that opens, reads and closes it."""
+"""The connection to one board: opens, reads and closes its port, in rounds."""
 import enum
 import threading
 import time
@@ -6,8 +6,6 @@ import traceback
 from typing import TYPE_CHECKING, Any, Callable
 
 from ..framing.frame_timer import FrameTimer
-from ..transport import pace
-from ..transport.opener import Opener
 from ..transport.port import PortError
 from .stall import LONGEST_SLEEP, STALL, StallWatch
 from .stamps import Read
@@ -17,6 +15,8 @@ if TYPE_CHECKING:
 
 _SHUTDOWN_TIME = 0.5    # s within which bridge and simulated boards end if stopped together
 _AFTER_FAULT = 0.1      # s until the thread goes on after an unexpected error
+_BACK_OFF = 0.1, 1.0    # s until the port is opened again: the first pause, the longest
+_NEVER = float('inf')
 _OLD = object()         # the stamp of bytes that waited during a stall
 
 
@@ -30,36 +30,47 @@ class PortState(enum.Enum):
 
 
 class Connection:
-    """Serves one link: calls its hooks in this connection's thread."""
+    """Serves one link: `step` is one round, and calls the link's hooks.
 
-    def __init__(self, link: 'Link', frame_timeout: float, clock: Callable[[], Any]) -> None:
+    A thread of its own does one round after the other. It sleeps in the port alone.
+
+    Args:
+        stamp: returns the stamp of a read.
+    """
+
+    def __init__(self, link: 'Link', frame_timeout: float, stamp: Callable[[], Any]) -> None:
         self.state = PortState.CLOSED
         self.trouble = 'not opened yet'    # why the port is closed, or will be
         self.number = 0                    # how often the port has been opened
-        self.opened_at = 0.0               # monotonic
-        self.last_byte_at = 0.0            # monotonic; the opening counts as a byte
+        self.opened_at = 0.0
+        self.last_byte_at = 0.0            # the opening counts as a byte
         self.stale = 0                     # bytes dropped because they waited during a stall
-        self.stalls = StallWatch(STALL)    # of the thread; by `pace.clock`
+        self.stalls = StallWatch(STALL)    # of the thread
         self._link = link
         self._port = link.port
-        self._clock = clock
+        self._now = link.now
+        self._stamp = stamp
         self._timer = FrameTimer(link.decoder, frame_timeout, link.port.baud)
+        self._ending = threading.Event()
         self._is_woken = False             # `wake` was called since the latest `tick`
+        self._due = 0.0                    # the next round, at the latest
+        self._tick_at = self._look_at = 0.0
+        self._open_at = 0.0                # when to open the port
+        self._pause = _BACK_OFF[0]         # s until the try after that
         self._lost = ''                    # why the port was lost; '': not lost, or already logged
-        self._lost_at = 0.0                # when; monotonic
+        self._lost_at = 0.0                # when
         self._stalled_for = 0.0            # s; of the stall whose bytes are dropped
         self._dropped = 0                  # bytes, since that stall
-        self._opener = Opener(link.port, link.name + ' opening')
         self._thread = threading.Thread(target=self._run, name=link.name + ' link', daemon=True)
 
     # -- for any thread; `Link` explains the first four ---------------------------------
 
     def start(self) -> None:
-        self._opener.start()
         self._thread.start()
 
     def stop(self) -> None:
-        self._opener.end()
+        self._ending.set()
+        self._port.wake()
 
     def join(self, timeout: float) -> None:
         if self._thread.is_alive():
@@ -72,7 +83,7 @@ class Connection:
     def may_be_from_a_stall(self) -> bool:
         """Whether what is asked for now may have waited during a stall: also while the connection's
         thread does not run again yet, and until `AFTER_STALL` s later."""
-        now = pace.clock()
+        now = self._now()
         return self.stalls.stalled_for(now) > 0 or self.stalls.has_just_stalled(now)
 
     @property
@@ -88,84 +99,90 @@ class Connection:
         except PortError as error:
             self.trouble = str(error)
             self._lost = f'{self._port.url}: {error}; opening it again when it returns'
-            self._lost_at = time.monotonic()
+            self._lost_at = self._now()
         except BaseException as error:  # pylint: disable=broad-except
             # Also SystemExit, which would end this thread alone.
             self.trouble = f'fault in the bridge: {error!r}'
-            if not self._opener.ending.is_set():
+            if not self._ending.is_set():
                 self._link.log.error('fault', traceback.format_exc())
         return None
 
-    # -- opening and closing ----------------------------------------------------------
+    # -- rounds -----------------------------------------------------------------------
 
     def _run(self) -> None:
         """Errors of hooks and callbacks, and a lack of memory, do not end this."""
-        while not self._opener.ending.is_set():
+        while self._due < _NEVER:
             try:
-                if self._port.is_open:       # an error ended the turn before
-                    self._close()
-                if self._opener.open(self._not_opened, self._idle):
-                    self.guarded(self._serve)
-                    self._close()
+                self.step()
             except BaseException:  # pylint: disable=broad-except
                 time.sleep(_AFTER_FAULT)    # too little memory even to log it
 
-    def _close(self) -> None:
+    def step(self) -> float:
+        """Sleep in the port until something is due or received, and do it; return when the next
+        round is due."""
+        if self._ending.is_set():
+            if self._port.is_open:
+                self._close()
+            self._due = _NEVER
+        elif not self._port.is_open:
+            self._due = self._closed_round()
+        elif self.state is PortState.CLOSED:
+            self._due = self.guarded(self._begin) or self._close()
+        else:
+            self._due = self.guarded(self._open_round) or self._close()
+        return self._due
+
+    # -- opening and closing ----------------------------------------------------------
+
+    def _closed_round(self) -> float:
+        self._port.pause(self._due - self._now())
+        now = self._now()
+        self._stalled_for += self.stalls.stalled_for(now)     # the port may just be opened
+        self.stalls.awake_at = now
+        due = self.guarded(self._link.idle, now)
+        self._link.lending.step()
+        if now >= self._open_at and not self._ending.is_set():
+            self._try_to_open(now)
+        due = min(self._open_at, now + LONGEST_SLEEP, now + LONGEST_SLEEP if due is None else due)
+        return now if self._port.is_open else due
+
+    def _try_to_open(self, now: float) -> None:
+        trouble = ''
+        try:
+            self._port.open()
+        except PortError as error:
+            trouble = str(error)
+        except BaseException as error:  # pylint: disable=broad-except
+            trouble = f'fault while opening it: {error!r}'
+        after = self._now()
+        if after - now > STALL:     # the bridge may have stalled: drop what waits in the port
+            self._stalled_for += after - now
+        self.stalls.awake_at = after
+        if not trouble:
+            self._pause = _BACK_OFF[0]
+            return
+        self._port.close()
+        self._open_at = after + self._pause
+        self._pause = min(self._pause * 2, _BACK_OFF[1])
+        self.trouble = trouble
+        # If everything is stopped together, a simulated board's port may vanish first: no warning.
+        if after >= self._lost_at + _SHUTDOWN_TIME and not self._ending.is_set():
+            self._log_loss()
+            self._link.log.warn('closed', f'{self._port.url}: {trouble}')
+
+    def _close(self) -> float:
         self.state = PortState.CLOSED
         self._link.announcement.reset()    # before any thread can write to the next opening
         self.guarded(self._port.close)
         self.guarded(self._link.board_settings.closed)
-        self.guarded(self._link.closed, time.monotonic())
-
-    def _idle(self, now: float) -> float:
-        awake_at = pace.clock()
-        self._stalled_for += self.stalls.stalled_for(awake_at)     # the port may just be opened
-        self.stalls.awake_at = awake_at
-        due = self.guarded(self._link.idle, now)
-        self._link.lending.step()
-        soon = now + LONGEST_SLEEP
-        return soon if due is None else min(due, soon)
-
-    def _not_opened(self, trouble: str) -> None:
-        self.trouble = trouble
-        # If everything is stopped together, a simulated board's port may vanish first: no warning.
-        if time.monotonic() >= self._lost_at + _SHUTDOWN_TIME:
-            self._log_loss()
-            self._link.log.warn('closed', f'{self._port.url}: {trouble}')
+        self._open_at = self._now()
+        self.guarded(self._link.closed, self._open_at)
+        return self._open_at
 
     def _log_loss(self) -> None:
         if self._lost:
             self._link.log.warn('lost', self._lost)
             self._lost = ''
-
-    # -- reading ----------------------------------------------------------------------
-
-    def _serve(self) -> None:
-        link, port, timer = self._link, self._port, self._timer
-        now = tick_at = look_at = self._begin()
-        while not self._opener.ending.is_set():
-            if now >= look_at:
-                look_at = now + LONGEST_SLEEP
-                self._restore_settings(now)
-                link.check(now)
-            frame_due = timer.due(self.last_byte_at)
-            wake_at = tick_at if frame_due is None else min(tick_at, frame_due)
-            if link.DRAINS and self.state is PortState.RECEIVING:
-                wake_at = now
-            data = port.read(wake_at - now)
-            # The clock after that: what it takes to make its stamp varies, and is not in `now`.
-            now = time.monotonic()
-            stamp = self._clock()
-            stall = self._check_stall(now)
-            if self.state is PortState.DROPPING:
-                self._drop(data, stall, now)
-            else:
-                self._receive(data, stamp, now)
-            if not data or self._is_woken or now >= tick_at:
-                self._is_woken = False
-                due = link.tick(now)
-                link.lending.step()
-                tick_at = now + LONGEST_SLEEP if due is None else min(due, now + LONGEST_SLEEP)
 
     def _begin(self) -> float:
         """The port was opened; return the time."""
@@ -179,12 +196,39 @@ class Connection:
         link.board_settings.reset()
         link.presence.opened()
         self._timer.reset()
-        now = time.monotonic()
+        now = self._now()
         link.opened(now)
-        self.last_byte_at = self.opened_at = now
+        self.last_byte_at = self.opened_at = self._tick_at = self._look_at = now
         # What waited during a stall may arrive over a new connection, too.
         self.state = PortState.DROPPING if self._stalled_for else PortState.RECEIVING
         return now
+
+    # -- reading ----------------------------------------------------------------------
+
+    def _open_round(self) -> float:
+        link = self._link
+        data = self._port.read(self._due - self._now())
+        # The clock after that: what it takes to make its stamp varies, and is not in `now`.
+        now = self._now()
+        stamp = self._stamp()
+        stall = self._check_stall(now)
+        if self.state is PortState.DROPPING:
+            self._drop(data, stall, now)
+        else:
+            self._receive(data, stamp, now)
+        if not data or self._is_woken or now >= self._tick_at:
+            self._is_woken = False
+            due = link.tick(now)
+            link.lending.step()
+            self._tick_at = now + LONGEST_SLEEP if due is None else min(due, now + LONGEST_SLEEP)
+        if now >= self._look_at:
+            self._look_at = now + LONGEST_SLEEP
+            self._restore_settings(now)
+            link.check(now)
+        if link.DRAINS and self.state is PortState.RECEIVING:
+            return now
+        frame_due = self._timer.due(self.last_byte_at)
+        return self._tick_at if frame_due is None else min(self._tick_at, frame_due)
 
     def _restore_settings(self, now: float) -> None:
         changed = self._port.restore_settings()
@@ -211,16 +255,16 @@ class Connection:
 
     def _check_stall(self, now: float) -> float:
         """After a stall begin to drop, and return its length in s; end that when bytes are new."""
-        link, awake_at = self._link, pace.clock()
-        seconds = self.stalls.stalled_for(awake_at)
-        self.stalls.awake_at = awake_at
+        link = self._link
+        seconds = self.stalls.stalled_for(now)
+        self.stalls.awake_at = now
         if seconds:
             self.state = PortState.DROPPING
             self._stalled_for += seconds
             link.decoder.reset()
             link.stamps.reset()
             link.stalled(seconds, now)
-        elif self.state is PortState.DROPPING and not self.stalls.has_just_stalled(awake_at):
+        elif self.state is PortState.DROPPING and not self.stalls.has_just_stalled(now):
             if self._dropped:
                 link.log.warn('stalled', f'the bridge stalled for {self._stalled_for:.3g} s: '
                               f'{self._dropped} bytes that waited in the port are old and were '

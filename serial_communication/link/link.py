@@ -5,6 +5,7 @@ import time
 from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame, stamped
+from ..transport import pace
 from ..transport.port import Port, PortError
 from .announcement import BoardAnnouncement
 from .connection import Connection
@@ -39,6 +40,7 @@ class Link:
         frame_timeout: s without a byte after which an incomplete frame is given up.
         clock: returns the stamp of each read; it is used for nothing else.
         earlier: returns the stamp so many seconds before one of `clock`.
+        now: the clock of all that the link does: seconds, monotonic, also while suspended.
         board_time: whether a frame with the board's time has the stamp of its measurement.
     """
 
@@ -54,11 +56,12 @@ class Link:
                  clock: Callable[[], Any] = time.time,
                  logger: Optional[logging.Logger] = None,
                  earlier: Callable[[Any, float], Any] = operator.sub,
-                 board_time: bool = True) -> None:
+                 board_time: bool = True, now: Callable[[], float] = pace.clock) -> None:
         self.name = name
         self.port = port
         self.decoder = decoder
-        self.log = SparingLog(name, logger or logging.getLogger(__name__))
+        self.now = now
+        self.log = SparingLog(name, logger or logging.getLogger(__name__), clock=now)
         self.tap: Optional[Tap] = None     # called with every frame in and out; None: no listener
         self.frames_received = 0           # valid ones
         self.frames_sent = 0
@@ -69,9 +72,9 @@ class Link:
         self.stamps = Stamps(port, earlier, self.log, board_time)
         takes_rows: Any = decoder      # that of a board with settings
         self.board_settings = BoardSettings(
-            self.log, lambda kind: takes_rows.add_message(kind), lambda: self.wake())
+            self.log, lambda kind: takes_rows.add_message(kind), lambda: self.wake(), now)
         self.connection = Connection(self, frame_timeout, clock)
-        self.lending = Lending(port, self.connection.wake, self.connection.may_be_from_a_stall)
+        self.lending = Lending(port, self.connection.wake, self.connection.may_be_from_a_stall, now)
         self._clock = clock
         self._reported_errors = 0
 
@@ -125,6 +128,10 @@ class Link:
                 f'({self.port.baud})')
 
     # -- for callers ------------------------------------------------------------------
+
+    def loops(self) -> List[Callable[[], float]]:
+        """What the link's threads call again and again; each returns when it is due next."""
+        return [self.connection.step]
 
     def start(self) -> None:
         """Start all threads of the link; none is started later."""
@@ -219,9 +226,8 @@ class Link:
 
     def condition(self, now: float) -> Tuple[int, str]:
         """Level and summary, without regard to new errors."""
-        loan = self.port.loan
-        if loan and loan.runs:
-            return WARN, str(loan)
+        if self.port.is_lent:
+            return WARN, str(self.port.loan)
         if not self.port.is_open:
             return ERROR, f'closed: {self.connection.trouble}'
         if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
@@ -230,7 +236,7 @@ class Link:
 
     def condition_name(self, now: float) -> str:
         """The condition in one word that does not change, for programs."""
-        if self.port.loan and self.port.loan.runs:
+        if self.port.is_lent:
             return 'lent'
         if not self.port.is_open:
             return 'closed'
@@ -260,7 +266,7 @@ class Link:
             return
         talks = self.talks(now)
         if talks or self.presence.understood_at >= opened_at or now >= opened_at + STARTUP_TIME:
-            self.presence.log(talks, self.silence(), time.monotonic())
+            self.presence.log(talks, self.silence(), self.now())
 
     def deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""

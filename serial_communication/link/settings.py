@@ -1,9 +1,9 @@
 """The settings of one board: which values are wanted, and which the board has confirmed."""
 import threading
-import time
 from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple, Type
 
 from ..framing.settings import Setting, SettingMessage, message_of
+from ..transport import pace
 from ..transport.pace import Allowance
 from .outcome import Refused
 from .sparing_log import SparingLog
@@ -53,7 +53,7 @@ class BoardSettings:
 
     def __init__(self, log: SparingLog, use: Callable[[Type[SettingMessage]], None],
                  wake: Callable[[], None],
-                 clock: Callable[[], float] = time.monotonic) -> None:
+                 clock: Callable[[], float] = pace.clock) -> None:
         # Called by any thread when rows or values have changed; must not wait.
         self.on_change: Callable[[], None] = lambda: None
         self.wanted: Dict[str, Any] = {}     # by name, also of rows that are not there now

@@ -1,7 +1,8 @@
 """A log with a limited rate: a cause that repeats is not logged each time."""
 import logging
-import time
 from typing import Callable, Dict, List
+
+from ..transport import pace
 
 
 class SparingLog:
@@ -12,7 +13,7 @@ class SparingLog:
     """
 
     def __init__(self, link: str, logger: logging.Logger, period: float = 10.0,
-                 clock: Callable[[], float] = time.monotonic) -> None:
+                 clock: Callable[[], float] = pace.clock) -> None:
         self._link, self._logger = link, logger
         self._period, self._clock = period, clock
         self._causes: Dict[str, List[float]] = {}   # cause -> [logged at, left out since]

@@ -60,7 +60,7 @@ def log_fault(log: SparingLog, error: Exception) -> None:
 
 def _task(link: Link) -> Callable[[Any], Any]:
     def run(status: Any) -> Any:
-        report = link.report(time.monotonic())
+        report = link.report(link.now())
         status.summary(report.level, report.summary)
         for key, value in report.values:
             status.add(key, str(value))

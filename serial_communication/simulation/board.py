@@ -1,11 +1,11 @@
 """The base of simulated boards, and the runner that drives one on a port."""
 import argparse
+import threading
 import time
 from typing import Any, Callable, Optional
 
 from ..framing.frame_timer import FrameTimer
 from ..framing.stream import Decoder, Frame
-from ..transport.opener import Opener
 from ..transport.pace import set_priority
 from ..transport.port import Port, PortError
 from .line import SimulatedLine
@@ -137,21 +137,26 @@ class Runner:
         self.line = SimulatedLine(board, port.write, say=say, **line_arguments)
         self._say = say
         self._realtime = realtime
-        self._opener = Opener(port, 'board opening')
-        self._stopping = self._opener.ending
+        self._stopping = threading.Event()
         self._trouble = ''         # why the port is closed, as it was printed last
         self._powered = False
 
     def stop(self) -> None:
         """Make `run` return soon; to be called from another thread."""
-        self._opener.end()
+        self._stopping.set()
+        self.port.wake()
 
     def run(self) -> None:
         """Run the board in this thread."""
         if self._realtime:
             set_priority(_REALTIME_PRIORITY)
-        self._opener.start()
-        while self._opener.open(self._not_open, self._idle):
+        while not self._stopping.is_set():
+            try:
+                self.port.open()
+            except PortError as error:
+                self._not_open(str(error))
+                self._pause()
+                continue
             self._trouble = ''
             self._say(f'{self.port.url}: open')
             self.line.opened(time.monotonic())
@@ -170,9 +175,12 @@ class Runner:
             self._trouble = trouble
             self._say(f'{self.port.url}: {trouble}{remedy}')
 
-    def _idle(self, now: float) -> Optional[float]:
-        """Run the board while the port is closed."""
-        return self.line.tick(now) if self._powered else None
+    def _pause(self) -> None:
+        """Run the board until the port is tried again."""
+        end = time.monotonic() + self.port.RETRY
+        while time.monotonic() < end and not self._stopping.is_set():
+            due = self.line.tick(time.monotonic()) if self._powered else None
+            self.port.pause(min(end, end if due is None else due) - time.monotonic())
 
     def _serve(self) -> None:
         now = time.monotonic()

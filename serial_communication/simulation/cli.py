@@ -75,8 +75,6 @@ def main(arguments: Optional[List[str]] = None) -> int:
     status: List[int] = []
     thread = threading.Thread(target=_run, args=(runner, status), name='board', daemon=True)
     thread.start()
-    if isinstance(port, OwnPty):
-        say(f'{port.url}: waiting for a program that opens it')
     if options.duration:
         signal.sigtimedwait(_STOPS, options.duration)
     else:

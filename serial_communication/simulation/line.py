@@ -112,7 +112,7 @@ class SimulatedLine:
         """Do what is due, write what is ready; return when to be called next at the latest."""
         self._now = now
         for kind, seconds in self.faults.events(now):
-            self._begin(kind, seconds)
+            self.begin(kind, seconds, now)
         if self._up_at is not None and now >= self._up_at:
             self._up_at = None
             self._power_on(now)
@@ -184,8 +184,9 @@ class SimulatedLine:
         self._powered_at = now
         self.board.power_on(now)
 
-    def _begin(self, kind: str, seconds: float) -> None:
-        now = self._now
+    def begin(self, kind: str, seconds: float, now: float) -> None:
+        """Begin a silence, a stall or a reset."""
+        self._now = now
         self.note('fault', kind=kind, seconds=round(seconds, 3))
         if kind == 'silence':
             self._silent_until = max(self._silent_until, now + seconds)

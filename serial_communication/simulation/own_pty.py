@@ -14,7 +14,7 @@ from typing import Optional
 
 from ..transport.port import Port, PortBusy, PortError
 
-_LOOK_AGAIN = 0.01     # s; the kernel does not tell the master that the other end was opened
+_LOOK_AGAIN = 0.01     # s
 _READ_SIZE = 65536
 _OTHERS = 1.0          # s until other simulators, which are ended with this one, have ended
 
@@ -29,6 +29,8 @@ class OwnPty(Port):
     Raises:
         OSError: the link cannot be made.
     """
+
+    RETRY = 0.01     # s; the kernel does not tell the master that the other end was opened
 
     def __init__(self, link: str = '') -> None:
         self._master, slave = os.openpty()
@@ -69,10 +71,9 @@ class OwnPty(Port):
         return self._has_opened
 
     def open(self) -> None:
-        """Wait until another program has opened the other end; PortError after `wake`."""
-        while any(event & select.POLLHUP for _, event in self._poll.poll(0)):
-            if select.select([self._wake_read], [], [], _LOOK_AGAIN)[0]:
-                raise PortError('no program has opened it')
+        """PortError while no other program has the other end open."""
+        if any(event & select.POLLHUP for _, event in self._poll.poll(0)):
+            raise PortError('waiting for a program that opens it')
         self._has_opened = True
 
     def close(self) -> None:

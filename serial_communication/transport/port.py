@@ -5,10 +5,12 @@ in slices of 50 ms. `open_port` has the kinds.
 """
 import glob
 import os
+import select
 import termios
 import threading
+import time
 from contextlib import suppress
-from typing import NamedTuple, Optional, Set
+from typing import Callable, NamedTuple, Optional, Set
 
 import serial
 
@@ -17,6 +19,7 @@ from .pace import clock
 from .port_errors import PortBusy, PortError, explain
 from .urls import NETWORK, read_url
 
+_MOST_WAKES = 65536     # calls of `wake` that one read takes
 _STALLED = 0.1     # s of wire time; with a longer backlog a tty counts as held when it closes
 
 
@@ -24,11 +27,7 @@ class Loan(NamedTuple):
     """Another program has borrowed a port."""
 
     by: str          # who; for people
-    until: float     # s; by `pace.clock`
-
-    @property
-    def runs(self) -> bool:
-        return clock() < self.until
+    until: float     # s; by the clock of the port
 
     def __str__(self) -> str:
         return f'lent to {self.by}'
@@ -38,10 +37,14 @@ class Port:
     """A path or a URL of pyserial's that can be opened any number of times; other programs are kept
     out. One thread opens, reads and closes; any thread may write or wake.
 
-    `baud` is in bits per second. `reset_on_open` pulses DTR, which resets many boards.
+    `baud` is in bits per second. `reset_on_open` pulses DTR, which resets many boards. `now` is
+    the clock of loans.
     """
 
-    def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False) -> None:
+    RETRY = 0.3     # s until a simulated board tries to open it again
+
+    def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False,
+                 now: Callable[[], float] = clock) -> None:
         self.url, self._scheme = read_url(url)
         # Whether the port is on another computer, which hides how much it has not sent.
         self.is_network = self._scheme in NETWORK
@@ -51,11 +54,11 @@ class Port:
         self.bytes_received = 0
         self.bytes_sent = 0
         self._reset_on_open = reset_on_open
+        self._now = now
         self.loan: Optional[Loan] = None     # the port stays closed while it runs
         self._opened: Optional[OpenPort] = None
         self._failure = ''               # why this connection was given up
-        self._door = threading.Lock()    # held while a descriptor is opened or closed
-        self._lock = threading.Lock()    # held to write, open and close; after `_door`
+        self._lock = threading.Lock()    # held to write, to lend, and at the end of an opening
         self._rest = b''                 # the unsent rest of a frame that the kernel took in part
         self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
@@ -65,20 +68,21 @@ class Port:
 
     def open(self) -> None:
         """Open the port; raise PortError with the reason if it cannot be opened now."""
-        with self._door:
-            try:
-                port = serial.serial_for_url(self.url, do_not_open=True)
-                self._refuse_while_lent(port.port or '')
-                port.baudrate = self.baud
-                opened = open_port(port, self._scheme, self._wake_read, self._reset_on_open)
-            except (OSError, ValueError, termios.error) as error:
-                raise PortError(explain(error)) from None
-            with self._lock:
-                self.is_pty = opened.is_pty
-                self.byte_time = 10.0 / self.baud if opened.has_baud else 0.0
-                self._rest = b''
-                self._failure = str(self.loan or '')     # lent meanwhile: nothing may be written
-                self._opened = opened
+        try:
+            opened = self._open()
+        except (OSError, ValueError, termios.error) as error:
+            raise PortError(explain(error)) from None
+        with self._lock:
+            self.is_pty = opened.is_pty
+            self.byte_time = 10.0 / self.baud if opened.has_baud else 0.0
+            self._rest, self._failure = b'', ''
+            self._opened = opened
+
+    def _open(self) -> OpenPort:
+        port = serial.serial_for_url(self.url, do_not_open=True)
+        self._refuse_while_lent(port.port or '')
+        port.baudrate = self.baud
+        return open_port(port, self._scheme, self._wake_read, self._reset_on_open)
 
     def _refuse_while_lent(self, path: str) -> None:
         """Raise PortError while a loan runs, and afterwards until no other program has the device
@@ -86,30 +90,22 @@ class Port:
         loan = self.loan
         if loan is None:
             return
-        if loan.runs:
+        if self.is_lent:
             raise PortError(str(loan))
-        if open_in(path) - {os.getpid()}:
+        if self._others_have(path):
             raise PortError(f'it was {loan}, and another program still has it open')
-        with self._lock:
-            if self.loan is not loan:       # it is lent again meanwhile
-                raise PortError(str(self.loan))
-            self.loan = None
+        self.loan = None
 
-    def lend_closed(self, loan: Loan) -> bool:
-        """Lend the port, or change the loan, if it is closed and not lent to another; return
-        whether it is."""
-        with self._lock:
-            other = self.loan is not None and self.loan.by != loan.by and self.loan.runs
-            if self._opened is not None or other:
-                return False
-            self.loan = loan
-            return True
+    @staticmethod
+    def _others_have(path: str) -> bool:
+        """Whether another program has the device open."""
+        return bool(open_in(path) - {os.getpid()})
 
-    def end_loan(self, by: str) -> None:
-        """End the loan if it is to `by`, also while the port is just being opened or closed."""
-        with self._lock:
-            if self.loan and self.loan.by == by:
-                self.loan = self.loan._replace(until=0.0)
+    @property
+    def is_lent(self) -> bool:
+        """Whether a loan runs."""
+        loan = self.loan        # the link's thread may set it to None
+        return loan is not None and self._now() < loan.until
 
     def give_up(self, why: str) -> None:
         """Write nothing more until the port is opened again; the next `read` raises PortError,
@@ -117,13 +113,6 @@ class Port:
         with self._lock:
             self._failure = why
         self.wake()
-
-    def has_closed(self) -> bool:
-        """Whether no descriptor is open, or just being opened or closed."""
-        if not self._door.acquire(blocking=False):
-            return False
-        self._door.release()
-        return not self.is_open
 
     def pulse(self, line: str) -> None:
         """Reset the board by the line `dtr` or `rts`; PortError if the port has no such lines."""
@@ -137,16 +126,19 @@ class Port:
 
     def close(self) -> None:
         """Close the port; what was written but not sent is dropped."""
-        if self._opened is None:
-            return      # it may just be opened, which may take minutes
-        with self._door:
-            with self._lock:
-                is_held = bool(self._rest) or self.backlog() > _STALLED
-                closing, self._opened = self._opened, None
-                self._rest = b''
-            if closing:
-                with suppress(OSError, termios.error):
-                    closing.close(is_held)
+        with self._lock:
+            is_held = bool(self._rest) or self.backlog() > _STALLED
+            closing, self._opened = self._opened, None
+            self._rest = b''
+        if closing:
+            with suppress(OSError, termios.error):
+                closing.close(is_held)
+
+    def pause(self, seconds: float) -> None:
+        """Sleep for so long, or until `wake`, while the port is closed."""
+        if select.select([self._wake_read], [], [], max(seconds, 0.0))[0]:
+            with suppress(BlockingIOError):
+                os.read(self._wake_read, _MOST_WAKES)
 
     def read(self, timeout: Optional[float]) -> bytes:
         """Sleep until bytes are received, and return all of them.
@@ -208,6 +200,12 @@ class Port:
         """Whether written bytes are not sent yet; for a connection, not yet acknowledged."""
         opened = self._opened
         return opened is not None and opened.on_its_way() + len(self._rest) > 0
+
+    def drain(self, seconds: float) -> None:
+        """Wait, at most for so long, until all that was written has left."""
+        deadline = time.monotonic() + seconds
+        while self.on_its_way() and time.monotonic() < deadline:
+            time.sleep(0.002)
 
     def discard_output(self, why: str = 'the peer takes no data') -> bool:
         """Drop what was written but not sent; return whether the port is still usable.

@@ -6,7 +6,7 @@ import traceback
 from collections import deque
 from typing import Callable, Deque, Optional
 
-from ...transport.pace import Every, clock, set_priority
+from ...transport.pace import Every, set_priority
 
 _LONGEST_SLEEP = 0.02    # s; a low heartbeat rate must not make SPEED 0 late
 _REALTIME_PRIORITY = 20
@@ -19,15 +19,18 @@ class HeartbeatThread:
         rate: heartbeats a second.
         work: sends what is due; returns whether it sent a heartbeat.
         on_fault: called with the traceback of what `work` raised; the thread continues.
+        now: the clock.
     """
 
     def __init__(self, name: str, rate: float, work: Callable[[bool], bool],
-                 on_fault: Callable[[str], None]) -> None:
+                 on_fault: Callable[[str], None], now: Callable[[], float]) -> None:
         self.sent = 0            # heartbeats, since the start
         self.max_gap = 0.0       # s, since the port closed last
         self._period = 1.0 / rate
         self._work = work
         self._on_fault = on_fault
+        self._now = now
+        self._pace: Optional[Every] = None      # None: not begun
         self._last: Optional[float] = None
         self._opened_at: Optional[float] = None
         self._gaps: Deque[float] = deque(maxlen=1000)     # s, since the last call of `recent_gap`
@@ -70,18 +73,23 @@ class HeartbeatThread:
             longest = max(longest, self._gaps.popleft())
         return longest
 
+    def step(self) -> float:
+        """Do what is due; return when to be called next, at the latest."""
+        now = self._now()
+        if self._pace is None:
+            self._pace = Every(self._period, now - self._period)     # the first heartbeat at once
+        try:
+            if self._work(self._pace.passed(now)):
+                self._count(now, self._now())
+        except BaseException:  # pylint: disable=broad-except
+            self._on_fault(traceback.format_exc())
+        return min(self._pace.due, self._now() + _LONGEST_SLEEP)
+
     def _run(self) -> None:
-        pace = Every(self._period, clock() - self._period)      # the first heartbeat at once
         while not self._stopping.is_set():
-            now = clock()
-            heartbeat_due = pace.passed(now)
+            due = self.step()
             try:
-                if self._work(heartbeat_due):
-                    self._count(now, clock())
-            except BaseException:  # pylint: disable=broad-except
-                self._on_fault(traceback.format_exc())
-            try:
-                time.sleep(min(max(pace.due - clock(), 0.0), _LONGEST_SLEEP))
+                time.sleep(max(due - self._now(), 0.0))
             except BaseException:  # pylint: disable=broad-except
                 self._on_fault(traceback.format_exc())
                 # Without a pause, this loop would take a whole core at real-time priority.

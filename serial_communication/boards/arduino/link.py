@@ -6,7 +6,7 @@ from ...framing.layout import LayoutMessage
 from ...framing.settings import SettingMessage
 from ...framing.stream import Frame
 from ...link.link import OK, WARN, Link, Refused, Report
-from ...transport.pace import Allowance, clock
+from ...transport.pace import Allowance
 from ...transport.port import Port, PortError
 from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import End
@@ -56,7 +56,7 @@ class ArduinoLink(Link):
         self.output = CarOutput(self, settings.speed_timeout, settings.calibration_timeout)
         self.heartbeat = HeartbeatThread(
             'arduino heartbeat', settings.heartbeat_rate, self.output.send_what_is_due,
-            lambda text: self.log.warn('fault', text))
+            lambda text: self.log.warn('fault', text), self.now)
         self.lending.let_go = self.output.let_go
         self.lending.was_reset = lambda: self._end_calibration(End.RESET)
         self._on_message = on_message
@@ -130,8 +130,11 @@ class ArduinoLink(Link):
 
     # -- start and stop -------------------------------------------------------------------
 
+    def loops(self) -> List[Callable[[], float]]:
+        return [*super().loops(), self.heartbeat.step]
+
     def start(self) -> None:
-        self.output.motor.awake(clock())
+        self.output.motor.awake(self.now())
         super().start()
         self.log.info('priority', self.heartbeat.start())
 
@@ -145,9 +148,9 @@ class ArduinoLink(Link):
 
     def opened(self, now: float) -> None:
         self.output.opened()
-        self.heartbeat.port_opened(clock())
+        self.heartbeat.port_opened(self.now())
         if self.output.calibration:
-            self.output.calibration.port_opened(clock())
+            self.output.calibration.port_opened(self.now())
 
     def closed(self, now: float) -> None:
         self.output.closed()
@@ -155,7 +158,7 @@ class ArduinoLink(Link):
 
     def stalled(self, seconds: float, now: float) -> None:
         if self.output.calibration:
-            self.output.calibration.stalled(seconds, clock())
+            self.output.calibration.stalled(seconds, self.now())
 
     def altered(self, now: float) -> None:
         self.output.altered()
@@ -170,7 +173,7 @@ class ArduinoLink(Link):
             self.board_settings.received(message, self.announcement.is_current)
         elif not isinstance(message, wire.Time):
             if self.output.calibration and isinstance(message, wire.Imu):
-                self._end_calibration(self.output.calibration.imu_data(clock()))
+                self._end_calibration(self.output.calibration.imu_data(self.now()))
             if self._on_message and not self.announcement.holds_back(message):
                 self.connection.guarded(self._on_message, message, frame.stamp)
 
@@ -208,7 +211,7 @@ class ArduinoLink(Link):
 
     def idle(self, now: float) -> Optional[float]:
         if self.output.calibration:
-            self._end_calibration(self.output.calibration.check_timeout(clock()))
+            self._end_calibration(self.output.calibration.check_timeout(self.now()))
         return None
 
     def _end_calibration(self, end: Optional[End]) -> None:
@@ -236,7 +239,7 @@ class ArduinoLink(Link):
     # -- diagnostics ----------------------------------------------------------------------
 
     def report(self, now: float) -> Report:
-        self._recent_gap = self.heartbeat.recent_gap(clock())
+        self._recent_gap = self.heartbeat.recent_gap(self.now())
         return super().report(now)
 
     def condition(self, now: float) -> Tuple[int, str]:

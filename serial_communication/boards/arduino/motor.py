@@ -83,10 +83,7 @@ class Motor:
         """
         known_already = self.ignores_commands(now)
         seconds = self._stalls.stalled_for(now, receiving_at)
-        if not seconds:
-            return None
-        self.awake(now)
-        if known_already:
+        if not seconds or known_already:
             return None
         self.forget_speed()
         return seconds

@@ -3,7 +3,6 @@
 Only this module, `motor` and `calibration` decide what may reach the motor, and when.
 """
 import threading
-import time
 import traceback
 from typing import Dict, Optional, Tuple
 
@@ -12,7 +11,6 @@ from ...framing.settings import SettingMessage
 from ...link.link import Link, Refused
 from ...link.outcome import STOPPED
 from ...transport.output_watch import LONGEST_WAIT, OutputWatch
-from ...transport.pace import clock
 from ...transport.port import PortBusy, PortError
 from . import wire
 from .calibration import Calibration
@@ -43,8 +41,9 @@ class CarOutput:
     """
 
     def __init__(self, link: Link, speed_timeout: float, calibration_timeout: float) -> None:
+        self._now = link.now
         self.lock = threading.Lock()         # held while anything is sent; guards all below
-        self.motor = Motor(speed_timeout, clock())
+        self.motor = Motor(speed_timeout, self._now())
         self.calibration: Optional[Calibration] = None
         self.is_held = False                 # the other side of a pty may hold what is written
         self._link, self._port, self._log = link, link.port, link.log
@@ -66,7 +65,7 @@ class CarOutput:
         """Send any message, and SPEED 0 before a calibration if the car moves; Refused if it cannot
         be sent now."""
         with self.lock:
-            now = clock()
+            now = self._now()
             self._check_for_stall(now)
             why, cause = self._why_not(message, now)
             if why:
@@ -110,7 +109,7 @@ class CarOutput:
             return self._stop() or ('the port takes no data' if self._stands else '')
 
     def _begin_zeros(self) -> None:
-        self._zeros_until = dict.fromkeys(self._zeros, clock() + REPEAT_FOR)
+        self._zeros_until = dict.fromkeys(self._zeros, self._now() + REPEAT_FOR)
         self._zeros_at = 0.0
 
     def _moves(self, message: LayoutMessage) -> bool:
@@ -154,7 +153,7 @@ class CarOutput:
         Returns whether a heartbeat was sent.
         """
         with self.lock:
-            now = clock()       # read with the lock held: the bridge may stall while it waits
+            now = self._now()       # read with the lock held: the bridge may stall while it waits
             self._check_for_stall(now)
             self.motor.awake(now)
             if not self._port.is_open:
@@ -175,7 +174,7 @@ class CarOutput:
                 if calibration is None:
                     self._send_zeros(now)
                 if heartbeat_due:
-                    now = clock()       # the bridge may have stalled since
+                    now = self._now()       # the bridge may have stalled since
                     self._check_for_stall(now)
                     self._send(_HEARTBEAT, now)
                     self._beat_at = now
@@ -196,9 +195,9 @@ class CarOutput:
         """Send SPEED 0, and nothing after it: the heartbeat thread may outlive the wait for it."""
         with self.lock:
             self._has_ended = True
-            self._drop_backlog_if_blocked(clock(), _LONGEST_WAIT_AT_END)
+            self._drop_backlog_if_blocked(self._now(), _LONGEST_WAIT_AT_END)
             self._stop()
-        self._let_it_leave()
+        self._port.drain(_LAST_STOP_TIME)     # closing it may drop what has not left
 
     def let_go(self, why: str, resets: bool = False) -> None:
         """Send SPEED 0, and nothing after it until the port is opened again; Refused while the
@@ -206,16 +205,10 @@ class CarOutput:
         with self.lock:
             if self.calibration is not None and not resets:
                 raise Refused(f'not now: {_CALIBRATES}', 'calibrating')
-            self._drop_backlog_if_blocked(clock(), _LONGEST_WAIT_AT_END)
+            self._drop_backlog_if_blocked(self._now(), _LONGEST_WAIT_AT_END)
             self._stop()
             self._port.give_up(why)
-        self._let_it_leave()
-
-    def _let_it_leave(self) -> None:
-        """Wait for the last SPEED 0 to leave the port: closing it may drop what has not."""
-        deadline = time.monotonic() + _LAST_STOP_TIME
-        while self._port.on_its_way() and time.monotonic() < deadline:
-            time.sleep(0.002)
+        self._port.drain(_LAST_STOP_TIME)     # closing it may drop what has not left
 
     def hold(self, is_held: bool) -> None:
         """Refuse commands, or accept them again, and drop what waits."""
@@ -267,7 +260,7 @@ class CarOutput:
         packet = wire.encode_raw(message.TYPE, data)
         # After a packet that was cut off, a 0x00 ends the part that the board has received.
         packet = b'\0' + packet if self._cut_off else packet
-        if clock() > now + STALL and not (message is _HEARTBEAT or wire.is_speed_0(message)):
+        if self._now() > now + STALL and not (message is _HEARTBEAT or wire.is_speed_0(message)):
             raise Refused(f'{message} refused: {_STALLED}', 'stall')
         self._write(packet, message, now)
         self._cut_off = False
@@ -278,7 +271,7 @@ class CarOutput:
     def _send_heartbeat_before(self, message: LayoutMessage, size: int, now: float) -> None:
         """Send a heartbeat, if its thread runs, where so many bytes would delay the next one."""
         if message is _HEARTBEAT or self.motor.speed_unknown or \
-                not self._line.delays_heartbeat(size, now) or clock() > self._beat_at + _BEATS:
+                not self._line.delays_heartbeat(size, now) or self._now() > self._beat_at + _BEATS:
             return
         self._send(_HEARTBEAT, now)
         self.extra_beats += 1
@@ -294,11 +287,11 @@ class CarOutput:
         """Send SPEED 0, and the other zeros that are due; return why that failed, or ''."""
         try:
             try:
-                self._send(_SPEED_0, clock())
+                self._send(_SPEED_0, self._now())
             except PortBusy:        # what waits is older, and may be a speed
                 self._drop_backlog()
-                self._send(_SPEED_0, clock())
-            self._send_zeros(clock())
+                self._send(_SPEED_0, self._now())
+            self._send_zeros(self._now())
         except (PortBusy, PortError) as error:
             return str(error)
         except Exception as error:  # pylint: disable=broad-except
@@ -347,6 +340,6 @@ class CarOutput:
         """Drop what was written but not sent; return whether the port is still usable."""
         self.motor.forget_speed()
         self._cut_off = True
-        self._watch.restart(clock())
+        self._watch.restart(self._now())
         self._line.restart()
         return self._port.discard_output()

@@ -61,6 +61,7 @@ class ModelCar(Board):
         lose_stops: the line loses the first SPEED 0 of each stop, as noise may do.
         announcement: the text to announce; None: nothing.
         settings: that the board has.
+        period: s between two measurements.
     """
 
     decoder: wire.BoardDecoder
@@ -90,7 +91,8 @@ class ModelCar(Board):
 
     def __init__(self, calibration_time: float = 10.0, seed: int = 0,
                  custom: Sequence[CustomMessage] = (), lose_stops: bool = False,
-                 announcement: Optional[bytes] = None, settings: Sequence[Setting] = ()) -> None:
+                 announcement: Optional[bytes] = None, settings: Sequence[Setting] = (),
+                 period: float = PERIOD) -> None:
         self._custom = CustomMessagePlayer(custom, announcement, settings)
         super().__init__(wire.BoardDecoder(messages=[
             self._custom.setting_kind, *(each.kind for each in custom if each.is_command)]))
@@ -115,7 +117,8 @@ class ModelCar(Board):
         self._charge = BATTERY
         self._volts: Deque[float] = deque(maxlen=300)   # of the last 3 s
         self._random = Random(f'{seed} car')
-        self._pace = Every(PERIOD, 0.0)
+        self._period = period
+        self._pace = Every(period, 0.0)
         self._second = Every(1.0, 0.0)
 
     # -- hooks ----------------------------------------------------------------------------
@@ -130,7 +133,7 @@ class ModelCar(Board):
         self._servo_target = float(SERVO_CENTRE)
         self._counted = int(self.distance * TICKS_PER_METRE)
         self._volts.clear()
-        self._pace = Every(PERIOD, now)
+        self._pace = Every(self._period, now)
         self._second = Every(1.0, now)
         self._custom.power_on(now)
         # A 0x00 ends the boot loader's output.

@@ -1,6 +1,6 @@
 """The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
+import os
 import threading
-import time
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...framing.stream import IMPLAUSIBLE, LENGTH, Frame
@@ -8,7 +8,6 @@ from ...link.connection import PortState
 from ...link.link import ERROR, OK, WARN, Link
 from ...link.outcome import NOT_SENT, STOPPED, Outcome
 from ...link.stall import LONGEST_SLEEP, STALL
-from ...transport import pace
 from ...transport.port import Port, PortBusy, PortError
 from . import wire
 from .announcement import AnnouncementReader
@@ -42,7 +41,8 @@ class BusLink(Link):
 
     Args:
         on_environment: called in the link's thread with each reading and its stamp.
-        link_arguments: frame_timeout, clock and logger, as for `Link`.
+        nonce: returns new bytes for an ECHO.
+        link_arguments: frame_timeout, clock, now and logger, as for `Link`.
     """
 
     HAS_FENCES = True      # the Master drops all replies until its ECHO or SYNC is answered
@@ -50,11 +50,11 @@ class BusLink(Link):
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),
                  on_environment: Optional[Callable[[wire.Environment, Any], None]] = None,
-                 **link_arguments: Any) -> None:
+                 nonce: Callable[[], bytes] = lambda: os.urandom(4), **link_arguments: Any) -> None:
         super().__init__('bus', port, wire.ReplyDecoder(settings.reply_has_cmd2),
                          **link_arguments)
         self.settings = settings
-        self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log,
+        self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log, nonce,
                              drop_output=self._drop_output, begun_anew=self._board_begun_anew,
                              still_announces=lambda: self.announcement.is_current,
                              is_stopped=lambda: self.is_stopped, echoes=settings.echo)
@@ -102,35 +102,46 @@ class BusLink(Link):
 
     def request(self, request: wire.Request, function: wire.Function = wire.RAW,
                 on_success: Optional[Callable[[Outcome], None]] = None) -> Outcome:
-        """Send any request and wait for its outcome.
+        """Send any request and wait for its outcome: see `submit`.
 
         Returns after the timeouts of all its tries at the latest, plus the time that it waits for
         its turn, which is at most `motion_timeout`, or 0.8 s if that is longer.
+        """
+        call = self.submit(request, function, on_success)
+        return call.wait(max(self.settings.motion_timeout, NOT_READY_WAIT)
+                         + call.tries * (call.timeout + NOT_READY_WAIT))
+
+    def submit(self, request: wire.Request, function: wire.Function = wire.RAW,
+               on_success: Optional[Callable[[Outcome], None]] = None) -> Call:
+        """Have a request sent, and return the call, which gets its outcome.
 
         What may have waited while the bridge stalled is not sent, unless it is repeatable.
 
         Args:
             function: what it calls.
-            on_success: called in the link's thread with a successful outcome, before or after
-                this returns.
+            on_success: called in the link's thread with a successful outcome.
         """
-        if len(request.data) > wire.MAX_LENGTH:
-            return Outcome(NOT_SENT, f'data is {len(request.data)} bytes long, may be at most '
-                           f'{wire.MAX_LENGTH}; nothing was sent')
-        if self.is_stopped and not function.repeatable:
-            return Outcome(NOT_SENT, f'{STOPPED}; nothing was sent')
-        if not self.port.is_open:
-            return Outcome(NOT_SENT, f'the port {self.port.url} is closed '
-                           f'({self.connection.trouble}); nothing was sent')
         call = self._call(request, function, on_success)
-        # Checked after the time of the call was taken: the Master refuses it if a stall follows.
-        if not function.repeatable and self.connection.may_be_from_a_stall():
-            return Outcome(NOT_SENT, f'{STALLED}; nothing was sent')
-        longest = (max(self.settings.motion_timeout, NOT_READY_WAIT)
-                   + call.tries * (call.timeout + NOT_READY_WAIT))     # before a try is counted
-        self.master.submit(call)
-        self.wake()
-        return call.wait(longest)
+        # Also after the time of the call was taken: the Master refuses it if a stall follows.
+        why = self._why_not(call)
+        if why:
+            call.finish(Outcome(NOT_SENT, f'{why}; nothing was sent'))
+        else:
+            self.master.submit(call)
+            self.wake()
+        return call
+
+    def _why_not(self, call: Call) -> str:
+        size = len(call.request.data)
+        if size > wire.MAX_LENGTH:
+            return f'data is {size} bytes long, may be at most {wire.MAX_LENGTH}'
+        if self.is_stopped and not call.function.repeatable:
+            return STOPPED
+        if not self.port.is_open:
+            return f'the port {self.port.url} is closed ({self.connection.trouble})'
+        if not call.function.repeatable and self.connection.may_be_from_a_stall():
+            return STALLED
+        return ''
 
     def stop_motion(self) -> str:
         """Send all requests that interrupt; without any, a move that is under way goes on."""
@@ -138,9 +149,9 @@ class BusLink(Link):
             moving = '' if self.stops else self.master.under_way()
         calls = [self.master.submit(self._call(*stop)) for stop in self.stops]
         self.wake()
-        deadline = time.monotonic() + _WRITTEN
+        deadline = self.now() + _WRITTEN
         for call in calls:
-            call.written.wait(max(0.0, deadline - time.monotonic()))
+            call.written.wait(max(0.0, deadline - self.now()))
         return '; '.join(filter(None, [moving, *map(_not_written, calls)]))
 
     def _call(self, request: wire.Request, function: wire.Function,
@@ -148,7 +159,7 @@ class BusLink(Link):
         moves = wire.built_in(request, function).moves      # a raw request may be one, too
         timeout = function.timeout or (
             self.settings.motion_timeout if moves else self.settings.reply_timeout)
-        return Call(request, function, timeout, 1 + self.settings.retries, time.monotonic(), poll,
+        return Call(request, function, timeout, 1 + self.settings.retries, self.now(), poll,
                     on_success)
 
     def _drop_output(self, sent: float) -> None:
@@ -203,6 +214,7 @@ class BusLink(Link):
         waits_for = self._waits_for()
         if not waits_for:
             self._waits_since = now
+        self.master.bytes_came(self.connection.last_byte_at)
         with self._stepping:
             request, wake_at = self.master.step(now, waits_for, now >= self._blocked_until)
             if request is not None:
@@ -224,7 +236,7 @@ class BusLink(Link):
         frame = wire.encode_request(request, self.settings.environment_datelen)
         call = self.master.outstanding_call
         if call and not call.function.repeatable and self.connection.stalls.stalled_for(
-                pace.clock()):      # since `step` decided that it may be sent
+                self.now()):      # since `step` decided that it may be sent
             self.master.not_sent(STALLED)
             return
         try:

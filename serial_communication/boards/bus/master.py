@@ -309,6 +309,10 @@ class Master(Session):
         while self._submitted:
             call = self._submitted.popleft()
             if call.function.interrupts and self.state is not SessionState.CLOSED:
+                why = self._why_not(call)
+                if why:
+                    call.give_up(why)       # what is not sent interrupts nothing
+                    continue
                 self._interrupt(call, now)
             self.calls.add(call)
             if call.submitted <= self._stalled_at and not call.function.repeatable:

@@ -146,6 +146,10 @@ class Session:
         self._unanswered.clear()
         self._last_bytes = now
 
+    def bytes_came(self, at: float) -> None:
+        """The latest bytes were received at this time, whatever they are."""
+        self._last_bytes = max(self._last_bytes, at)
+
     @property
     def synchronised(self) -> bool:
         """Whether the board has answered SYNC and is still synchronised."""

@@ -1,5 +1,4 @@
 """The link to the sensor board: counts lost frames and reports when the board falls silent."""
-import time
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
 
 from ...framing.announcement import Chunk
@@ -58,7 +57,7 @@ class McuLink(Link):
         self._last_at = 0.0                     # when it was received
         self._seq = 0                           # of the next frame to the board
         self._watch = OutputWatch(port)
-        now = time.monotonic()
+        now = self.now()
         # By TYPE; by None until the board has sent a message.
         self._latest: Dict[Optional[int], _Latest] = {None: _Latest(None, 0, now, now + timeout)}
 
@@ -111,7 +110,7 @@ class McuLink(Link):
         return min([due, *(other for other in others if other is not None)])
 
     def _send(self, message: SettingMessage) -> None:
-        if self._watch.waiting_for(time.monotonic()) > LONGEST_WAIT:
+        if self._watch.waiting_for(self.now()) > LONGEST_WAIT:
             raise Refused('the port takes no data', 'busy')
         data = message.pack()
         frame = wire.encode_raw(message.TYPE, self._seq, data)

@@ -1,5 +1,4 @@
 """The mcu link in ROS: its parameters and its topics."""
-import time
 from functools import partial
 from math import inf, nan, pi, radians
 from typing import Any, Dict, List, Optional, Tuple, Type
@@ -64,7 +63,7 @@ class McuInterface(Interface):
         self._adc_status = publisher('mcu/adc_status', McuStatus)
         self._imu = ImuTopic('mcu/imu', p)
         self._missing = self._logged = ''    # the sensors without a value, now and in the log
-        self._missing_since = 0.0            # monotonic
+        self._missing_since = 0.0
         self._topics = MessageTopics(DESCRIPTION, p)
         self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
@@ -90,7 +89,7 @@ class McuInterface(Interface):
         if message.TYPE not in wire.MESSAGES:
             self._topics.publish(message, stamp)
             return
-        now = time.monotonic()
+        now = self.link.now()
         age = now - (self.link.last_frame_at or now)
         if type(message) is wire.AdcStatus:
             if wanted(self._adc_status):
