@@ -1,0 +1,142 @@
+"""Broken bridges: each breaks one promise, by one method, and the judge has to find it.
+
+A mutant is a broken promise, not a place: a rebuild of the bridge moves its place, never its fault.
+`SEEDS` has a seed that finds each. Run this file to search them anew.
+"""
+import json
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Callable, Dict, Iterator, NamedTuple
+
+import judge        # first: it makes the package findable
+import adapter as of
+
+
+class Mutant(NamedTuple):
+    """A promise that is broken: what `patch` returns takes the place of a method."""
+
+    promise: str
+    owner: Any
+    method: str
+    patch: Callable[[Callable], Any]     # gets the method
+
+
+def _nothing(_method: Callable) -> Callable:
+    return lambda *_, **__: None
+
+
+def _returns(value: Any) -> Callable[[Callable], Callable]:
+    return lambda _method: lambda *_, **__: value
+
+
+MUTANTS: Dict[str, Mutant] = {
+    'no fence before a call': Mutant(
+        'a fence precedes every call', of.Master, '_needs_fence', _returns(False)),
+    'a move is sent again after a timeout': Mutant(
+        'a move is never sent again after a timeout', of.CallQueue, 'try_failed',
+        lambda _method: lambda self, call, outcome, now: self._again(call, outcome, now)),
+    'a stop waits for its turn': Mutant(
+        'a stop is sent at once', of.Master, '_interrupt', _nothing),
+    'an old call is sent after a stall': Mutant(
+        'a call is as old as a command', of.Connection, 'may_be_from_a_stall', _returns(False)),
+    'a call outlives its port': Mutant(
+        'an outstanding call is not known when the port closes', of.BusLink, 'closed', _nothing),
+    'no SYNC after an opening': Mutant(
+        'SYNC comes first', of.Session, 'connected', lambda _method: lambda self, now: setattr(
+            self, 'state', of.SessionState.OUT_OF_STEP)),
+    'moves while stopped': Mutant(
+        '~stop holds on the bus', of.BusLink, '_why_not', _returns('')),
+    'the timeout of the speed is doubled': Mutant(
+        'SPEED 0 after 0.5 s without a command', of.Motor, '__init__',
+        lambda method: lambda self, timeout, now: method(self, 2 * timeout, now)),
+    'a stop is not repeated': Mutant(
+        'a stop is repeated for 1 s', of.Motor, 'due', lambda method: lambda *arguments: (
+            lambda why: None if why is of.Stop.REPEATED else why)(method(*arguments))),
+    'SPEED 0 does not come first': Mutant(
+        'SPEED 0 first', of.Motor, 'forget_speed', _nothing),
+    'a stall is not noticed by the car': Mutant(
+        'commands of a stall are refused', of.Motor, 'detect_stall', _returns(None)),
+    'a backlog is kept': Mutant(
+        'what stands in a port is dropped', of.Port, 'discard_output', _returns(True)),
+    'heartbeats wait for the link': Mutant(
+        'heartbeats are in time', of.HeartbeatThread, 'step', lambda method: lambda self: max(
+            method(self), self._now() + 0.04)),
+    'commands while it calibrates': Mutant(
+        'a calibrating board is left alone', of.CarOutput, '_why_not', lambda method:
+            lambda self, message, now: ('', '') if self.calibration else method(
+                self, message, now)),
+    'the car moves while stopped': Mutant(
+        '~stop holds', of.CarOutput, '_moves', _returns(False)),
+    'stale bytes are published': Mutant(
+        'no stale value', of.Connection, '_check_stall', lambda _method:
+            lambda self, now: setattr(self.stalls, 'awake_at', now) or 0.0),
+    'an announcement is kept over an opening': Mutant(
+        'announced rows wait', of.BoardAnnouncement, 'reset', _nothing),
+    'values of an old announcement': Mutant(
+        'values are of this board', of.BoardAnnouncement, 'holds_back', _returns(False)),
+    'a setting is confirmed by an older report': Mutant(
+        'a confirmed setting is in use', of.BoardSettings, 'send', lambda method:
+            lambda self, now, write, is_current: [
+                setattr(state, 'confirmed', state.value is not None)
+                for state in self._states.values()] and method(self, now, write, is_current)),
+    'a lent port is opened': Mutant(
+        'a lent port is left alone', of.Port, '_refuse_while_lent', _nothing),
+    'a loan without SPEED 0': Mutant(
+        'SPEED 0 is the last packet before a loan', of.CarOutput, 'let_go', lambda _method:
+            lambda self, why, resets=False: self._port.give_up(why)),
+    'a stamp of the moment it is published': Mutant(
+        'a stamp is of the read', of.Stamps, 'of', lambda _method:
+            lambda self, frame, read: read.stamp + 0.001),
+    'a silent board is not reported': Mutant(
+        'a silent board is reported', of.McuLink, 'idle', lambda _method:
+            lambda self, now: now + 0.1),
+    'frames are lost': Mutant(
+        'every valid frame is published', of.Link, 'deliver', lambda method:
+            lambda self, frame, now: None if frame.raw[2:3] == b'\x05' else method(
+                self, frame, now)),
+    'frames are doubled': Mutant(
+        'a value is published once', of.Link, 'deliver', lambda method:
+            lambda self, frame, now: [method(self, frame, now) for _ in range(
+                1 + (frame.raw[2:3] == b'\x05'))]),
+    'the port is not opened again': Mutant(
+        'a port that is back is opened', of.Connection, '_close', lambda method:
+            lambda self: (method(self), setattr(self, '_open_at', self._now() + 30.0),
+                          self._now())[2]),
+}
+_FILE = Path(__file__).with_name('mutants.json')
+SEEDS: Dict[str, int] = json.loads(_FILE.read_text()) if _FILE.exists() else {}
+_MOST = 200     # seeds within which each has to be found
+
+
+@contextmanager
+def broken_by(name: str) -> Iterator[None]:
+    """A context in which the bridge is broken by this mutant."""
+    mutant = MUTANTS[name]
+    method = vars(mutant.owner)[mutant.method]
+    setattr(mutant.owner, mutant.method, mutant.patch(method))
+    try:
+        yield
+    finally:
+        setattr(mutant.owner, mutant.method, method)
+
+
+def _search() -> None:
+    found: Dict[str, int] = {}
+    for name in MUTANTS:
+        began = time.monotonic()
+        with broken_by(name):
+            for seed in range(_MOST):
+                broken = judge.run(seed).broken
+                if broken:
+                    found[name] = seed
+                    print(f'{name:46} {seed:4} {time.monotonic() - began:6.1f} s  {min(broken)}',
+                          flush=True)
+                    break
+            else:
+                print(f'{name:46} not found in {_MOST} seeds', flush=True)
+    _FILE.write_text(json.dumps(found, indent=1) + '\n')
+
+
+if __name__ == '__main__':
+    _search()

@@ -1,0 +1,371 @@
+"""What is promised of calls on the bus."""
+import struct
+from typing import Dict, List, Tuple
+
+from evidence import At, Evidence, longer, overlaps
+from promises import (ECHO, ENVIRONMENT, FRESH, FUNCTION, GIMBAL, HALT, INVALID, LEVEL, LIFT, MOVES,
+                      OK, PRESS, SLACK, SYNC, Verdicts, executed_by, told)
+
+
+def calls_are_told_the_truth(e: Evidence) -> Verdicts:
+    """Done: executed exactly once. Refused: not at all. Not known: at most once."""
+    executed = executed_by(e)
+    sent_by = {}
+    for called in e.story.calls:
+        sent_by.setdefault(called.request, []).append(called)
+    for request, group in sent_by.items():
+        if len(group) > 1 or group[0].repeatable:
+            continue
+        # The line may double a request; the bridge must not.
+        written = sum((frame.type, frame.number, frame.data) == request for frame in e.wrote)
+        called, times = group[0], min(len(executed.get(request, ())), written)
+        answer = told(called)
+        right = {'done': times == 1, 'refused': times == 0, 'answered': times <= 1,
+                 'not known': times <= 1, 'nothing': times <= 1}[answer]
+        yield 1, '' if right else f'{called.name} {request} of {called.time:.3f} was told ' \
+            f'{answer}, and executed {times} times: {called.call.outcome}'
+
+
+def calls_return(e: Evidence) -> Verdicts:
+    """A call returns within the timeouts of its tries, and the wait for its turn."""
+    for called in e.story.calls:
+        limit = max(5.0, 0.8) + called.longest + 3 * 0.8 + 0.3
+        if e.story.ended is None or called.time + limit > e.story.ended:
+            continue
+        waited = (called.ended or float('inf')) - called.time
+        excused = overlaps(e.stalls[0], called.time, called.time + limit)
+        yield not excused, '' if excused or waited <= limit else \
+            f'{called.name} of {called.time:.3f} took {waited:.3f} s'
+
+
+def a_sync_comes_first(e: Evidence) -> Verdicts:
+    """After an opening SYNC is sent until it is answered, and nothing else but a stop."""
+    for begin, end in e.openings if e.kind == 'bus' else ():
+        answered = min((frame.time for frame in e.of_type(e.readable, SYNC)
+                        if begin <= frame.time <= end), default=end)
+        for frame in e.wrote:
+            if begin <= frame.time < min(answered, end):
+                yield 1, '' if frame.type == SYNC or frame.number == HALT else \
+                    f'type {frame.type} {frame.number} at {frame.time:.3f} before SYNC was answered'
+
+
+def fences_precede_calls(e: Evidence) -> Verdicts:
+    """A fence, an ECHO that has returned, precedes every request that moves something."""
+    if e.kind != 'bus' or not e.story.parameters['echo']:
+        return
+    echoes = e.of_type(e.readable, ECHO)
+    before = None
+    for frame in e.wrote:
+        if frame.type == FUNCTION and frame.number in MOVES:
+            fence = before is not None and before.type == ECHO and any(
+                each.data == before.data and before.time <= each.time <= frame.time
+                for each in echoes)
+            yield 1, '' if fence else f'{frame.number} at {frame.time:.3f} has no fence'
+        before = frame if frame.number != HALT else before
+
+
+def stops_are_sent_at_once(e: Evidence) -> Verdicts:
+    """A stop is sent within 50 ms, whatever is outstanding."""
+    halts = [frame.time for frame in e.wrote if frame.type == FUNCTION and frame.number == HALT]
+    for called in e.story.calls:
+        if called.name != 'halt' or told(called) == 'refused':
+            continue
+        opened, closed = e.opening_of(called.time)
+        excused = not opened < called.time < closed - 0.06 or overlaps(
+            e.stalls[0], called.time, called.time + 0.05, 0.02) or overlaps(
+            e.events('blocked'), called.time, called.time + 0.05, 0.5)
+        yield not excused, '' if excused or any(
+            called.time <= each <= called.time + 0.05 for each in halts) else \
+            f'the stop of {called.time:.3f} was not sent'
+
+
+def stale_calls_are_refused(e: Evidence) -> Verdicts:
+    """A call from within 0.5 s after a stall is not sent, unless it only reads or stops."""
+    executed = executed_by(e)
+    for begin, end in longer(e.stalls[0], 0.55) if e.kind == 'bus' else ():
+        for called in e.story.calls:
+            if end < called.time < end + FRESH - SLACK and not called.repeatable:
+                yield 1, '' if told(called) == 'refused' else \
+                    f'{called.name} of {called.time:.3f} after a stall until {end:.3f}: ' \
+                    f'{called.call.outcome}, executed {executed.get(called.request)}'
+
+
+def moves_are_not_late(e: Evidence) -> Verdicts:
+    """What moves is sent within the longest wait for its turn, or not at all."""
+    sent = [frame for frame in e.wrote if frame.type == FUNCTION
+            and frame.number in MOVES] if e.kind == 'bus' else []
+    for called in e.story.calls:
+        if called.repeatable:
+            continue
+        for frame in sent:
+            if (frame.number, frame.data) == called.request[1:]:
+                yield 1, '' if frame.time <= called.time + 5.0 + called.longest else \
+                    f'{called.name} of {called.time:.3f} was sent at {frame.time:.3f}'
+
+
+def _plain(e: Evidence) -> List[At]:
+    """The requests that were written, but stops."""
+    return [frame for frame in e.wrote if frame.type != FUNCTION or frame.number != HALT]
+
+
+def _timeout_of(frame: At) -> float:
+    return 5.0 if frame.type == FUNCTION and frame.number in (LIFT, GIMBAL) else 0.5
+
+
+def one_request_is_outstanding(e: Evidence) -> Verdicts:
+    """At most one request is outstanding, but stops: the next waits for a reply or its time."""
+    replies = [frame.time for frame in e.readable]
+    halts = [frame.time for frame in e.wrote if frame.number == HALT]
+    sent = _plain(e)
+    for before, frame in zip(sent, sent[1:]):
+        # Its time begins before the write, in which the bridge may have been frozen.
+        begun = min([before.time, *(begin for begin, end in e.suspended if end == before.time)])
+        is_free = frame.time >= begun + _timeout_of(before) - 1e-3 \
+            or e.opening_of(before.time) != e.opening_of(frame.time) \
+            or any(before.time <= each <= frame.time for each in replies + halts)
+        # A damaged reply ends it, too.
+        damaged = any(before.time <= chunk.time <= frame.time
+                      for chunk in e.story.device.bridge_read)
+        yield is_free or not damaged, '' if is_free or damaged else \
+            f'type {frame.type} {frame.number} at {frame.time:.3f}, {before.time:.3f} outstanding'
+
+
+def replies_are_used_for_their_request(e: Evidence) -> Verdicts:
+    """No late or doubled reply is used for another request: a call that echoes gets its data."""
+    for called in e.story.calls:
+        if called.name in ('raw', 'level', 'echo') and told(called) == 'done':
+            data = called.call.outcome.data
+            yield 1, '' if data == called.request[2] else \
+                f'{called.name} {called.request[2].hex()} of {called.time:.3f} got {data.hex()}'
+
+
+def readings_are_of_the_environment(e: Evidence) -> Verdicts:
+    """Every published reading was the reply to a request for one, once, in order."""
+    sent = [frame for frame in e.sent if frame.type == OK and len(frame.data) == 6
+            and frame.data[2:] != b'\0\0\x88\x13']
+    index = 0
+    for time, _name, values, _stamp in e.story.robot.published:
+        wanted = tuple(round(value * factor) for value, factor in zip(values, (1, 100, 100)))
+        at = next((place for place in range(index, len(sent)) if sent[place].time <= time
+                   and struct.unpack('<HhH', sent[place].data) == wanted), None)
+        yield 1, '' if at is not None else f'the reading {values} at {time:.3f}'
+        index = index if at is None else at + 1
+
+
+def moves_are_repeated_only_after_invalid(e: Evidence) -> Verdicts:
+    """What moves is sent again only after an INVALID, and an ECHO that has returned since."""
+    calls: Dict[Tuple, int] = {}
+    for called in e.story.calls:
+        calls[called.request] = calls.get(called.request, 0) + 1
+    sent: Dict[Tuple, List[At]] = {}
+    for frame in e.wrote:
+        if frame.type == FUNCTION and frame.number in MOVES:
+            sent.setdefault((frame.type, frame.number, frame.data), []).append(frame)
+    for request, frames in sent.items():
+        if calls.get(request, 0) > 1:
+            continue
+        yield 1, '' if request in calls else f'{request} at {frames[0].time:.3f} of no call'
+        for before, frame in zip(frames, frames[1:]):
+            refusals = [each.time for each in e.of_type(e.readable, INVALID)
+                        if before.time <= each.time <= frame.time]
+            echoes = [each.time for each in e.of_type(e.readable, ECHO)
+                      if refusals and refusals[0] <= each.time <= frame.time]
+            yield 1, '' if echoes and len(frames) <= 3 else \
+                f'{request} was sent again at {frame.time:.3f}'
+
+
+def readings_are_repeated(e: Evidence) -> Verdicts:
+    """A call that reads is sent 1 + retries times at most; so often before it is not known."""
+    halts = [frame.time for frame in e.wrote if frame.number == HALT]
+    for called in e.story.calls:
+        if called.name != 'level':
+            continue
+        times = [frame.time for frame in e.wrote
+                 if (frame.type, frame.number, frame.data) == called.request]
+        yield 1, '' if len(times) <= 3 else f'level of {called.time:.3f} was sent at {times}'
+        if told(called) == 'not known' and times and called.ended:
+            closed = e.opening_of(times[0])[1]
+            # It waits for its next turn for 0.8 s while the link is not in step.
+            excused = closed < called.ended + SLACK or called.ended > times[-1] + 0.79 or any(
+                times[0] <= each <= called.ended for each in halts) or overlaps(
+                    e.stalls[0], called.time, called.ended)
+            yield not excused, '' if excused or len(times) == 3 else \
+                f'level of {called.time:.3f} was sent at {times}, not known at {called.ended:.3f}'
+
+
+def silence_is_a_fence(e: Evidence) -> Verdicts:
+    """bus/echo false: 20 ms of silence before each call, and no ECHO but those of callers."""
+    if e.story.parameters['echo']:
+        return
+    reads = [chunk.time for chunk in e.story.device.bridge_read]
+    asked = {called.request for called in e.story.calls}
+    for frame in e.wrote:
+        if frame.type == ECHO:
+            yield 1, '' if (ECHO, 0, frame.data) in asked else f'an ECHO at {frame.time:.3f}'
+        if frame.type == FUNCTION and frame.number in MOVES:
+            last = max((each for each in reads if each <= frame.time), default=0.0)
+            yield 1, '' if frame.time - last >= 0.02 - 1e-6 else \
+                f'{frame.number} at {frame.time:.4f}, bytes at {last:.4f}'
+
+
+def calls_go_before_polls(e: Evidence) -> Verdicts:
+    """No poll is sent while a call waits for its turn."""
+    first: Dict[Tuple, float] = {}
+    for frame in e.wrote:
+        first.setdefault((frame.type, frame.number, frame.data), frame.time)
+    for frame in e.wrote:
+        if frame.type != FUNCTION or frame.number != ENVIRONMENT:
+            continue
+        at = frame.time
+        if any(called.name == 'environment' and called.time <= at <= (called.ended or at) + 0.02
+               for called in e.story.calls):
+            continue
+        waiting = [called for called in e.story.calls if called.name in ('press', 'raw', 'level')
+                   and called.time < at - SLACK and (called.ended or at) > at
+                   and first.get(called.request, float('inf')) > at]
+        yield 1, '' if not waiting else \
+            f'a poll at {at:.3f} before {waiting[0].name} of {waiting[0].time:.3f}'
+
+
+def polls_go_on(e: Evidence) -> Verdicts:
+    """Polls go on in their period while the board answers and no call is there."""
+    period = e.story.parameters['environment_period']
+    sent = [frame.time for frame in e.wrote
+            if frame.type == FUNCTION and frame.number == ENVIRONMENT] if period else []
+    busy = [(called.time, called.ended or float('inf')) for called in e.story.calls]
+    faults = [(event.begin, event.end) for event in e.story.events if event.name != 'stop']
+    for before, at in zip(sent, [*sent[1:], float('inf')]):
+        opened, closed = e.opening_of(before)
+        end = min(at, closed)
+        limit = before + 2 * period + 0.3
+        excused = closed < limit or overlaps(
+            busy + faults + e.stalls[0], before - 0.3, limit, 0.1) or any(
+                e.story.device.damage_sent) or any(e.story.device.damage_received)
+        yield not excused, '' if excused or end <= limit else \
+            f'no poll from {before:.3f} to {at:.3f}, the period is {period}'
+
+
+def a_stop_is_repeated(e: Evidence) -> Verdicts:
+    """A stop is sent again while no ECHO returns."""
+    halts = [frame.time for frame in e.wrote if frame.type == FUNCTION and frame.number == HALT]
+    echoes = {frame.data: frame.time for frame in e.of_type(e.readable, ECHO)}
+    asked = {called.request for called in e.story.calls}
+    for called in e.story.calls:
+        if called.name != 'halt' or not called.ended:
+            continue
+        for probe in e.of_type(e.wrote, ECHO):
+            due = probe.time + 0.5
+            opened, closed = e.opening_of(probe.time)
+            if not (opened < called.time < probe.time and due + 0.06 < min(called.ended, closed)) \
+                    or (ECHO, 0, probe.data) in asked or called.time < opened:
+                continue
+            answered = [frame.time for frame in e.readable if probe.time <= frame.time <= due]
+            excused = probe.data in echoes or answered or overlaps(
+                e.stalls[0] + e.events('blocked', 'altered'), probe.time - 0.5, due + 0.06, 0.1) \
+                or any(probe.time <= each <= due for each in halts)
+            yield not excused, '' if excused or any(
+                due - SLACK <= each <= due + 0.06 for each in halts) else \
+                f'the stop of {called.time:.3f}: no ECHO to that of {probe.time:.3f}'
+
+
+def unheard_moves_are_not_late(e: Evidence) -> Verdicts:
+    """A move that timed out with nothing received does not arrive later, on a tty."""
+    if e.story.device.kind != 'tty':
+        return
+    reads = [chunk.time for chunk in e.story.device.bridge_read]
+    for called in e.story.calls:
+        if called.repeatable or told(called) != 'not known' or not called.ended:
+            continue
+        sent = [frame.time for frame in e.wrote
+                if (frame.type, frame.number, frame.data) == called.request]
+        if len(sent) != 1 or any(sent[0] <= each <= called.ended for each in reads):
+            continue
+        late = [frame.time for frame in e.got if frame.time > called.ended + 0.015
+                and (frame.type, frame.number, frame.data) == called.request]
+        yield 1, '' if not late else \
+            f'{called.name} of {called.time:.3f}, not known at {called.ended:.3f}, came at {late}'
+
+
+def functions_are_announced(e: Evidence) -> Verdicts:
+    """A function that is announced is sent only after its board has announced it, since it opened;
+    no board is asked for an announcement that nobody said it has."""
+    for frame in e.wrote:
+        if frame.type != FUNCTION:
+            continue
+        if frame.number == 0xFF:
+            yield 1, '' if e.story.announces else f'asked for an announcement at {frame.time:.3f}'
+        elif e.story.announces and frame.number in (HALT, PRESS, LEVEL):
+            opened = e.opening_of(frame.time)[0]
+            rows = [rows for since, rows in e.story.boards if since <= frame.time][-1]
+            name = {HALT: 'halt', PRESS: 'press', LEVEL: 'level'}[frame.number]
+            asked = [each for each in e.wrote if each.number == 0xFF and each.type == FUNCTION
+                     and opened <= each.time <= frame.time]
+            yield 1, '' if asked and name in rows else \
+                f'{name} at {frame.time:.3f}, opened at {opened:.3f}: the board has {rows}'
+
+
+def a_lost_synchronisation_is_restored(e: Evidence) -> Verdicts:
+    """After INVALID 0x10 the next request, but a stop, is SYNC."""
+    sent = _plain(e)
+    for frame in e.of_type(e.read, INVALID):
+        if frame.data[:1] != b'\x10':
+            continue
+        following = next((each for each in sent if each.time > frame.time), None)
+        before = [each for each in sent if each.time <= frame.time]
+        closed = e.opening_of(frame.time)[1]
+        excused = following is None or following.time > closed or not before \
+            or before[-1].type == SYNC or overlaps(
+                e.stalls[0], frame.begun, frame.time, FRESH + 0.1)
+        yield not excused, '' if excused or following.type == SYNC else \
+            f'type {following.type} {following.number} at {following.time:.3f} after 0x10'
+
+
+def refusals_are_confirmed(e: Evidence) -> Verdicts:
+    """INVALID is told as refused only when an ECHO has returned since; what was not sent is told so
+    only if it was not."""
+    invalids = [frame.time for frame in e.of_type(e.readable, INVALID)]
+    echoes = [frame.time for frame in e.of_type(e.readable, ECHO)]
+    asked: Dict[Tuple, int] = {}
+    for called in e.story.calls:
+        asked[called.request] = asked.get(called.request, 0) + 1
+    for called in e.story.calls:
+        outcome = called.call.outcome
+        sent = [frame.time for frame in e.wrote
+                if (frame.type, frame.number, frame.data) == called.request]
+        if asked[called.request] > 1 or outcome is None or not called.ended \
+                or called.name in ('sync', 'environment', 'halt'):      # others send them, too
+            continue
+        if outcome.status == 253:
+            yield 1, '' if not sent else f'{called.name} of {called.time:.3f} was sent at {sent}'
+        elif outcome.status == INVALID:
+            refused = [each for each in invalids if sent and sent[-1] <= each <= called.ended]
+            right = refused and any(refused[-1] <= each <= called.ended for each in echoes)
+            yield 1, '' if right else \
+                f'{called.name} of {called.time:.3f} was refused at {called.ended:.3f}, no ECHO'
+
+
+def calls_end_with_their_port(e: Evidence) -> Verdicts:
+    """Where the port closes, an outstanding call is not known, at once."""
+    for called in e.story.calls:
+        sent = [frame.time for frame in e.wrote
+                if (frame.type, frame.number, frame.data) == called.request
+                and called.time <= frame.time <= (called.ended or frame.time)]
+        closed = e.opening_of(sent[-1])[1] if sent else float('inf')
+        if called.name == 'halt' or not called.ended or closed > called.ended + 1e-6 \
+                or closed >= e.story.world.time - 1.1:
+            continue
+        excused = overlaps(e.stalls[0], closed, called.ended)
+        yield not excused, '' if excused or called.ended <= closed + 0.15 else \
+            f'{called.name} of {called.time:.3f} ended at {called.ended:.3f}, closed {closed:.3f}'
+
+
+def a_board_without_echo_gets_no_call(e: Evidence) -> Verdicts:
+    """With bus/echo true a board that knows no ECHO gets no call: each is told as not sent."""
+    if not e.story.parameters['echo'] or e.story.echoes:
+        return
+    for called in e.story.calls:
+        if called.ended and called.name not in ('halt', 'sync', 'echo'):
+            yield 1, '' if told(called) == 'refused' else \
+                f'{called.name} of {called.time:.3f}: {called.call.outcome}'
+    for time, report in e.story.reports:
+        yield 1, '' if report['condition'] != 'ok' else f'ok at {time:.3f}'

@@ -1,0 +1,361 @@
+"""What is promised of every link: its taps, its counters, its condition, its port."""
+import struct
+from typing import Dict, Tuple
+
+from by_definition import arduino_at, decode, mcu_at, reply_at, request_at
+from evidence import Evidence, longer, merged, overlaps
+from promises import FRESH, IMU, SETTING, SLACK, STALL, Verdicts
+from promises_data import ALL_NAMES
+
+_RX, _TX = 0, 1
+
+
+def _is_calm(e: Evidence) -> bool:
+    """Nothing was damaged, nothing disturbed the link, and all types were known from the start."""
+    device = e.story.device
+    return not (e.kind == 'arduino' and e.story.announces) \
+        and not any(device.damage_sent) and not any(device.damage_received) \
+        and not e.stalls[0] and not [each for each in e.story.events if each.name != 'stop']
+
+
+def _decoders(e: Evidence) -> Tuple:
+    """Those of received and of sent frames."""
+    return {'bus': (reply_at, request_at), 'arduino': (arduino_at, arduino_at),
+            'mcu': (mcu_at, mcu_at)}[e.kind]
+
+
+def sent_frames_are_tapped(e: Evidence) -> Verdicts:
+    """Every frame that is sent is passed to the tap, once and in order."""
+    tapped = b''.join(raw for direction, raw, _ in e.story.robot.tapped if direction == _TX)
+    if not e.story.robot.tapped or e.events('blocked', 'unplugged', 'cut') or len(
+            e.openings) > 1:
+        return      # a frame may be cut
+    frames = decode(tapped, _decoders(e)[1], True)[0]
+    yield len(frames), '' if [each.content for each in frames] == [
+        (each.type, each.number, each.data) for each in e.wrote] else \
+        f'{len(frames)} frames were tapped, {len(e.wrote)} were sent'
+
+
+def received_frames_are_tapped(e: Evidence) -> Verdicts:
+    """Every frame that is received is passed to the tap, once and in order."""
+    tapped = [decode(raw, _decoders(e)[0], True)[0] for direction, raw, cause in
+              e.story.robot.tapped if direction == _RX and not cause]
+    frames, index = e.readable, 0
+    for found in tapped:
+        for frame in found[:1]:
+            at = next((place for place in range(index, len(frames)) if (
+                frames[place].type, frames[place].number, frames[place].data) == frame.content),
+                None)
+            yield 1, '' if at is not None else f'{frame} was tapped and not received'
+            index = index if at is None else at + 1
+    if e.story.robot.tapped and _is_calm(e) and len(e.openings) == 1:
+        # The stop of the bridge may come before the last of them.
+        missing = len(e.read) - len(tapped)
+        yield 1, '' if 0 <= missing <= 6 else f'{missing} of {len(e.read)} were not tapped'
+
+
+def bytes_are_counted(e: Evidence) -> Verdicts:
+    """`bytes received` and `bytes sent` are what was read and written, exactly."""
+    device = e.story.device
+    for time, report, read, wrote, *_ in e.story.counted:
+        for name, chunks in ('bytes received', device.bridge_read[:read]), (
+                'bytes sent', device.bridge_wrote[:wrote]):
+            count = sum(len(chunk.data) for chunk in chunks)
+            # Bytes of the read that found the loss of the port are dropped.
+            right = report[name] == count or report[name] <= count and (
+                e.events('unplugged', 'cut') or e.story.tasks)
+            yield 1, '' if right else f'{name} at {time:.3f}: {report[name]}, not {count}'
+
+
+def frames_are_counted(e: Evidence) -> Verdicts:
+    """`frames received` and `frames sent` are those of the tap; calm, those of the line."""
+    for time, report, read, wrote, tapped, _ in e.story.counted:
+        frames = e.story.robot.tapped[:tapped]
+        for name, direction in (('frames received', _RX), ('frames sent', _TX)) if frames else ():
+            count = sum(each == direction and not cause for each, _, cause in frames)
+            yield 1, '' if report[name] == count else \
+                f'{name} at {time:.3f}: {report[name]}, tapped {count}'
+        if _is_calm(e) and len(e.openings) == 1:
+            data = b''.join(chunk.data for chunk in e.story.device.bridge_read[:read])
+            count = len(decode(data, _decoders(e)[0])[0])
+            yield 1, '' if report['frames received'] == count else \
+                f'frames received at {time:.3f}: {report["frames received"]}, on the line {count}'
+
+
+def errors_are_counted(e: Evidence) -> Verdicts:
+    """Every invalid frame is counted by its cause, once; nothing is an error on a good line."""
+    names = 'checksum errors', 'framing errors'
+    before: Dict[str, int] = {}
+    for time, report, _, _, tapped, _ in e.story.counted:
+        causes = {key: value for key, value in report.items() if key.endswith(' errors')}
+        if _is_calm(e) and not e.story.tasks:
+            yield 1, '' if not sum(causes[name] for name in names) else f'{causes} at {time:.3f}'
+        if e.story.robot.tapped:
+            for name in names:
+                count = sum(direction == _RX and cause + ' errors' == name
+                            for direction, _, cause in e.story.robot.tapped[:tapped])
+                # Noise that began in old bytes is an error, and is not shown.
+                yield 1, '' if causes[name] == count or causes[name] > count and longer(
+                    merged(e.stalls[0]), STALL) else \
+                    f'{name} at {time:.3f}: {causes[name]}, tapped {count}'
+        fewer = [name for name in before if causes.get(name, 0) < before[name]]
+        yield 1, '' if not fewer else f'fewer {fewer} at {time:.3f}'
+        before = causes
+
+
+def lost_frames_are_counted(e: Evidence) -> Verdicts:
+    """Every frame of the sensor board that is lost is counted by its SEQ."""
+    if e.kind != 'mcu':
+        return
+    # What waited during a stall is dropped by the bridge itself.
+    end = min([begin for begin, _ in e.stalls[0] + e.events('noise', 'altered')] + [float('inf')])
+    for time, report, *_ in e.story.counted:
+        if time >= end:
+            return
+        lost, last = 0, None
+        for frame in e.read:
+            if frame.time > time - 0.06:
+                break
+            opened = e.opening_of(frame.time)
+            same = last and last[1] == opened
+            if not (same and last[0].data == frame.data and last[0].number == frame.number):
+                lost += (frame.number - last[0].number - 1) % 256 if same else 0
+            last = frame, opened
+        recent = [frame for frame in e.read if time - 0.06 < frame.time <= time]
+        yield not recent, '' if recent or report['frames lost'] == lost else \
+            f'{report["frames lost"]} lost at {time:.3f}, not {lost}'
+
+
+def stale_bytes_are_counted(e: Evidence) -> Verdicts:
+    """What waited during a stall is dropped and counted; without a stall nothing is."""
+    device, counted = e.story.device, e.story.counted
+    stalls = longer(merged(e.stalls[0]), STALL)
+    for (last, before, *_), (time, report, *_) in zip(counted, counted[1:]):
+        more = report['stale'] - before['stale']
+        if not overlaps(stalls, last, time, 0.7):
+            yield 1, '' if not more else f'{more} bytes are stale at {time:.3f}'
+            continue
+        # Of a stall of which the loop knows: its end is between the two reports.
+        long = [(begin, end) for begin, end in longer(e.stalls[0], 0.55)
+                if last < end and e.opening_of(begin)[1] > end]
+        count = sum(len(chunk.data) for chunk in device.bridge_read if any(
+            end <= chunk.time < min(end + 0.45, time) for _, end in long))
+        yield 1, '' if more >= count or e.events('unplugged', 'cut') or e.story.tasks else \
+            f'{more} bytes are stale at {time:.3f}, {count} were old'
+
+
+def conditions_are_true(e: Evidence) -> Verdicts:
+    """`condition`: closed, lent, stopped, calibrating, silent or ok, as it is."""
+    story, robot = e.story, e.story.robot
+    stops = e.events('stop')
+    stops += [(begin, float('inf')) for begin in story.stopped_at[len(stops):]]
+    starts = [time for time, on in robot.calibrating if on]
+    calibrations = list(zip(starts, [
+        *(time for time, on in robot.calibrating if not on), float('inf')]))
+    changes = [(asked, until) for asked, until, _, _ in story.tasks]
+    for time, report in story.reports:
+        name = report['condition']
+        opened, closed = e.opening_of(time)
+        if overlaps(stops, time - 1e-6, time + 1e-6):
+            if any(abs(time - each) < 1e-6 for stop in stops for each in stop):
+                continue
+            yield 1, '' if name == 'stopped' else f'{name} at {time:.3f}, while ~stop holds'
+            continue
+        if overlaps(e.stalls[0] + changes + e.events('cut', 'unplugged'), time - 0.2, time, 0.3):
+            may = None
+        elif opened == float('inf') or time < opened + SLACK:
+            may = ('closed',) if opened == float('inf') else None
+        elif overlaps(calibrations, time - 0.1, time, 0.1):
+            may = ('calibrating',) if overlaps(calibrations, time, time) else None
+        elif e.kind == 'bus':
+            synced = any(opened <= frame.time <= time for frame in e.readable if frame.type == 0)
+            may = ('ok', 'out_of_step', 'no_echo', 'not_synchronised') if synced else (
+                'not_synchronised',)
+        else:
+            heard = [frame.time for frame in e.readable if frame.time <= time]
+            age = time - heard[-1] if heard else float('inf')
+            # Of a doubtful age either is right; a longer stall may have dropped the last ones.
+            may = ('ok',) if age < 0.6 and opened < time - 1.5 and not overlaps(
+                e.stalls[0] + e.events('noise', 'altered', 'silence', 'reset'), time - 1.5, time,
+                0.6) and e.read and e.read[-1].time > time - 0.3 else \
+                ('silent',) if age > 1.1 else ('ok', 'silent')
+        yield may is not None, '' if may is None or name in may else \
+            f'{name} at {time:.3f}, not {may}; open from {opened:.3f} to {closed:.3f}'
+
+
+def a_loan_is_told(e: Evidence) -> Verdicts:
+    """`condition` is lent while a loan runs."""
+    for asked, until, name, task in e.story.tasks:
+        if name != 'lend' or not task.answer or not task.answer[0]:
+            continue
+        for time, report in e.story.reports:
+            if asked + 0.3 < time < until - SLACK and not overlaps(e.stalls[0], asked, time, 0.1):
+                yield 1, '' if report['condition'] in ('lent', 'stopped') else \
+                    f'{report["condition"]} at {time:.3f}, lent from {asked:.3f} to {until:.3f}'
+
+
+def a_silent_network_is_opened_again(e: Evidence) -> Verdicts:
+    """A network port without a byte for network_silence is opened again, and not sooner."""
+    if e.kind == 'bus' or e.story.device.kind != 'network':
+        return
+    limit, device = e.story.parameters['network_silence'], e.story.device
+    calibrates = [time for time, _ in e.story.robot.calibrating]
+    reads = [chunk.time for chunk in device.bridge_read]
+    for opened, closed in e.openings:
+        times = [opened, *(each for each in reads if opened <= each <= closed), closed]
+        for last, following in zip(times, times[1:]):
+            excused = overlaps(e.stalls[0], last, following, 0.2) or any(
+                each <= following + 0.2 for each in calibrates)
+            if following - last > limit - 0.5:
+                yield not excused, '' if excused or following - last <= limit + 0.2 else \
+                    f'nothing was read from {last:.3f} to {following:.3f}, and it stayed open'
+
+
+def data_returns_after_a_stall(e: Evidence) -> Verdicts:
+    """Data is published again within 1 s of a stall's end."""
+    if e.kind == 'bus':
+        return
+    said = [time for time, name, _, _ in e.story.robot.published if name in ALL_NAMES]
+    for begin, end in longer(merged(e.stalls[0]), STALL):
+        limit = end + 1.0
+        heard = sum(limit - 0.35 < frame.time <= limit for frame in e.read)
+        excused = heard < 3 or e.opening_of(limit)[0] > end + 0.3 or overlaps(
+            [each for each in merged(e.stalls[0]) if each[1] > end], end, limit, 0.5) or any(
+                e.story.device.damage_received) or e.story.announces
+        yield not excused, '' if excused or any(end < each <= limit for each in said) else \
+            f'nothing from the stall of {begin:.3f} until {end:.3f} to {limit:.3f}'
+
+
+def reconnects_are_counted(e: Evidence) -> Verdicts:
+    """`reconnects` is how often the port was opened again."""
+    openings = e.story.device.openings
+    for time, report in e.story.reports:
+        count = max(sum(each <= time for each in openings) - 1, 0)
+        near = any(abs(each - time) < 0.01 for each in openings) or overlaps(
+            e.stalls[0], time, time, 0.01)
+        yield not near, '' if near or report['reconnects'] == count else \
+            f'{report["reconnects"]} reconnects at {time:.3f}, not {count}'
+
+
+def settings_of_the_port_are_restored(e: Evidence) -> Verdicts:
+    """What another program changed of the settings of a tty is restored within 0.3 s."""
+    for time, _ in e.events('altered'):
+        opened, closed = e.opening_of(time)
+        excused = closed < time + 0.3 or opened == float('inf') or overlaps(
+            e.stalls[0], time, time + 0.3, 0.01)
+        yield not excused, '' if excused or any(
+            time <= each <= time + 0.3 for each in e.story.device.restorations) else \
+            f'not restored after {time:.3f}'
+
+
+def loans_are_fresh(e: Evidence) -> Verdicts:
+    """A loan or a reset from the time of a stall, or 0.5 s after it, is refused."""
+    for begin, end in longer(e.stalls[0], 0.55):
+        for asked, _, name, task in e.story.tasks:
+            if end < asked < end + FRESH - SLACK and task.answer:
+                yield 1, '' if not task.answer[0] else \
+                    f'{name} of {asked:.3f} after a stall until {end:.3f}'
+
+
+def announced_rows_are_in_use(e: Evidence) -> Verdicts:
+    """The rows that the board has announced last are in use, and no others."""
+    story = e.story
+    for time, report in story.reports if story.announces else ():
+        since, rows = [each for each in story.boards if each[0] <= time][-1]
+        if report.get('announced'):
+            known = [rows for begin, rows in story.boards if begin <= time]
+            yield 1, '' if report['announced'].split(', ') in known else \
+                f'{report["announced"]} at {time:.3f}'
+        opened, _ = e.opening_of(time)
+        excused = not opened < time - 6.0 or since > time - 6.0 or any(
+            story.device.damage_received) or any(story.device.damage_sent) or overlaps(
+            e.stalls[0] + [(event.begin, event.end) for event in story.events],
+            time - 6.0, time) or e.kind == 'bus' and not story.echoes
+        yield not excused, '' if excused or report.get('announced') == ', '.join(rows) else \
+            f'{report.get("announced")} at {time:.3f}, the board has {rows} since {since:.3f}'
+
+
+def wanted_settings_return(e: Evidence) -> Verdicts:
+    """After a reset of the board all wanted settings are back within 1 s of its first report."""
+    story = e.story
+    if e.kind == 'bus' or story.announces or any(story.device.damage_sent) or any(
+            story.device.damage_received):
+        return
+    boots = [time for time, event, _ in story.far.notes if event == 'boot']
+    for boot in boots:
+        heard = next((frame.time for frame in e.of_type(e.read, SETTING) if frame.time > boot),
+                     float('inf'))
+        opened, closed = e.opening_of(boot)
+        excused = closed < heard + 1.0 or opened == float('inf') or overlaps(
+            e.stalls[0] + e.stalls[-1] + e.events(
+                'blocked', 'silence', 'altered', 'unplugged', 'noise', 'cut'),
+            boot - 0.6, heard + 1.0, 0.6) or any(
+            boot - 20.0 < time <= heard + 1.0 for time, _ in story.robot.calibrating) or any(
+            boot < each <= heard + 1.0 for each in boots)
+        if excused or heard == float('inf'):
+            continue
+        for name, number, layout in ('kp', 1, '<f'), ('limit', 2, '<H'):
+            values = [value for at, each, value in story.wants if each == name and at <= boot]
+            later = [at for at, each, _ in story.wants if each == name and boot < at < heard + 1.0]
+            if values and not later:
+                data = bytes((number,)) + struct.pack(layout, values[-1])
+                yield 1, '' if any(frame.data == data and boot < frame.time <= heard + 1.0 for frame
+                                   in e.of_type(e.got, SETTING)) else \
+                    f'{name} {values[-1]} is not back after the reset of {boot:.3f}'
+
+
+# -- of the next version ------------------------------------------------------------------------
+
+
+def short_stalls_lose_nothing(e: Evidence) -> Verdicts:
+    """A stall of up to 0.4 s loses nothing: 0.5 s is one, for every link."""
+    counted = e.story.counted
+    for (last, before, *_), (time, report, *_) in zip(counted, counted[1:]):
+        if not overlaps(longer(merged(e.stalls[0]), 0.38), last, time, 0.7):
+            more = report['stale'] - before['stale']
+            yield 1, '' if not more else f'{more} bytes are stale at {time:.3f}'
+
+
+def standing_output_is_dropped(e: Evidence) -> Verdicts:
+    """Where nothing has left a tty for 0.3 s, what waits is dropped."""
+    device = e.story.device
+    for begin, end in e.events('blocked') if device.kind == 'tty' else ():
+        waits = next((chunk.time for chunk in device.bridge_wrote if begin < chunk.time < end),
+                     float('inf'))
+        limit = waits + 0.6
+        excused = limit > end or e.opening_of(begin)[1] < limit or overlaps(
+            e.stalls[0] + e.stalls[-1], waits, limit, 0.1)
+        yield not excused, '' if excused or any(
+            waits <= each <= limit for each in device.flushes + device.closings) else \
+            f'what waits since {waits:.3f} stands until {end:.3f}'
+
+
+def a_silent_pty_is_doubted(e: Evidence) -> Verdicts:
+    """A pty that is silent for network_silence after its board talked is flushed, once."""
+    device = e.story.device
+    if e.kind == 'bus' or device.kind != 'pty':
+        return
+    limit = e.story.parameters['network_silence']
+    reads = [chunk.time for chunk in device.bridge_read]
+    for last, following in zip(reads, reads[1:]):
+        due = last + limit
+        excused = following < due + 0.3 or e.opening_of(last)[1] < due + 0.3 or overlaps(
+            e.stalls[0], last, due + 0.3, 0.2) or any(
+            time < due + 0.3 for time, _ in e.story.robot.calibrating)
+        if following > due:
+            yield not excused, '' if excused or any(
+                due - SLACK <= each <= due + 0.3 for each in device.flushes) else \
+                f'silent from {last:.3f} to {following:.3f}, and not flushed'
+
+
+def damage_does_not_bend_the_line(e: Evidence) -> Verdicts:
+    """A damaged TIME makes no other stamp early."""
+    device = e.story.device
+    if e.story.drift is None or not any(device.damage_received) or e.kind != 'arduino':
+        return
+    measured = {struct.unpack('>11h', frame.data): frame.time for frame in e.of_type(e.sent, IMU)}
+    for time, name, values, stamp in e.story.robot.published:
+        at = measured.get(tuple(values)) if name == 'Imu' else None
+        if at is not None:
+            yield 1, '' if stamp >= at - 0.005 else \
+                f'Imu of {at:.4f} has the stamp {stamp:.4f}, published at {time:.4f}'

@@ -1,0 +1,61 @@
+"""The judge: robots in virtual time, whose seeds decide all that happens to them."""
+import os
+import random
+import subprocess
+import sys
+
+import judge
+import pytest
+from mutants import MUTANTS, SEEDS, broken_by
+
+_FIXED = 160        # seeds
+# What the judge has found in the bridge, by the seed that showed it.
+FOUND = {
+    63: 'a stop of a function that is announced no longer was not sent, and ended what was '
+        'outstanding all the same'}
+_DIGEST = '''
+import hashlib, sys
+sys.path[:0] = [{folder!r}]
+import judge
+from life import live
+digest = hashlib.sha256()
+for seed in range(6):
+    for story in live(seed):
+        digest.update(repr((story.device.bridge_wrote, story.device.bridge_read,
+                            story.robot.published)).encode())
+print(digest.hexdigest())
+'''
+
+
+def broken(seed):
+    """What one seed has found."""
+    return [f'seed {seed}: {name}: {words}' for name, words in judge.run(seed).broken.items()]
+
+
+@pytest.mark.parametrize('first', range(0, _FIXED, 20))
+def test_the_bridge_keeps_its_promises(first):
+    assert [each for seed in range(first, first + 20) for each in broken(seed)] == []
+
+
+@pytest.mark.parametrize('seed', FOUND)
+def test_what_was_found_is_mended(seed):
+    assert broken(seed) == []
+
+
+def test_a_fresh_seed_is_tried_and_only_reported():
+    for words in broken(random.randrange(10 ** 9)):
+        print(words, file=sys.stderr)
+
+
+def test_a_seed_gives_the_same_bytes_in_every_process():
+    said = {subprocess.run(
+        [sys.executable, '-c', _DIGEST.format(folder=os.path.dirname(judge.__file__))], text=True,
+        stdout=subprocess.PIPE, env={**os.environ, 'PYTHONHASHSEED': seed}, check=True).stdout
+        for seed in ('1', '2')}
+    assert len(said) == 1
+
+
+@pytest.mark.parametrize('name', MUTANTS)
+def test_a_broken_promise_is_found(name):
+    with broken_by(name):
+        assert broken(SEEDS[name])
