@@ -1,3 +1,2 @@
-"""The fixtures of every test with a link or a port."""
-from link_fixtures import (every_thread_ends, line, lines, logger, port, running,  # noqa: F401
-                           this_machine_stalls_no_link, time_limit)
+"""The fixtures of every test with a link."""
+from link_fixtures import lines, logger  # noqa: F401

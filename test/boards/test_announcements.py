@@ -1,22 +1,18 @@
-"""Announcements on the links, over real ttys."""
-import time
-
+"""What links do with announcements; the judge decides what is sent to which board (test/sim)."""
 import pytest
 
-from fake_boards import BusBoard, CarBoard, until
+from steps import Steps
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import announcement
 from serial_communication.boards.bus.call import Call
-from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.framing.announcement import Assembly, Chunk, chunks_of
 from serial_communication.link.link import Refused
-from serial_communication.link.outcome import NOT_SENT, TIMEOUT, Outcome
+from serial_communication.link.outcome import TIMEOUT, Outcome
 from serial_communication.link.sparing_log import SparingLog
-from serial_communication.transport.port import Port
 
 TEXT = b'firmware: nano_car 1.1.0\nforce: {type: 32, ros_type: std_msgs/Float32}\n'
 OTHER = b'bumper: {type: 33, ros_type: std_msgs/Bool}\n'
@@ -37,267 +33,77 @@ class Force(arduino.Ticks):
 
 
 @pytest.fixture
-def board(line, running):
-    return running(CarBoard(line, [Force]))
-
-
-@pytest.fixture
-def car(line, board, logger, running):
+def car(logger):
     """A link to the model car, with what it has announced and sent."""
-    got = []
-    link = ArduinoLink(Port(line.path), on_message=lambda message, stamp: got.append(message),
-                       logger=logger)
-    link.texts, link.got = [], got
-    link.announcement.on_text = link.texts.append
-    running(link)
-    until(lambda: link.heartbeats_sent)
-    return link
+    got, texts = [], []
+    steps = Steps(ArduinoLink, logger=logger, on_message=lambda message, stamp: got.append(message))
+    steps.got, steps.texts = got, texts
+    steps.link.announcement.on_text = texts.append
+    return steps.run(0.1)
 
 
-def test_the_car_announces_a_text_once_and_a_changed_one_again(line, car):
-    line.write(b''.join(packets(TEXT) * 2 + packets(OTHER)[:1] + packets(TEXT)) + TICKS)
-    until(lambda: car.got)
+def test_the_car_announces_a_text_once_and_a_changed_one_again(car):
+    car.give(b''.join(packets(TEXT) * 2 + packets(OTHER)[:1] + packets(TEXT)) + TICKS)
     assert car.texts == [TEXT] and car.got == [arduino.Ticks(1)]
-    line.write(b''.join(packets(OTHER)))
-    until(lambda: len(car.texts) == 2)
-    assert car.texts == [TEXT, OTHER]
-    assert not any(car.decoder.errors.values())
+    car.give(b''.join(packets(OTHER)))
+    assert car.texts == [TEXT, OTHER] and not any(car.link.decoder.errors.values())
 
 
-def test_announced_rows_are_confirmed_again_after_a_reconnect(line, board, car):
-    line.write(b''.join(packets(TEXT)))
-    until(lambda: car.texts)
-    assert not car.announcement.is_current       # until its rows are in use
-    car.announcement.use(TEXT, '', [])
-    assert car.announcement.is_current
-    with board.unplugged():
-        until(lambda: not car.port.is_open)
-    until(lambda: car.port.is_open and car.connection.number == 2)
-    assert not car.announcement.is_current
-    line.write(packets(TEXT)[2])
-    until(lambda: car.announcement.is_current)
-    line.write(b''.join(packets(TEXT) + packets(OTHER)))
-    until(lambda: len(car.texts) == 2)
-    assert car.texts == [TEXT, OTHER] and not car.announcement.is_current
-
-
-def test_values_of_announced_rows_are_held_back_until_this_board_has_announced_them(
-        line, board, car):
+def test_announced_rows_are_used_only_after_this_board_has_announced_them(car):
     """After the port was opened, another board may be behind it."""
-    force = arduino.encode(Force(7))
-    car.decoder.add_message(Force)
-    line.write(b''.join(packets(TEXT)))
-    until(lambda: car.texts)
-    car.announcement.use(TEXT, '', [])
-    line.write(force + TICKS)
-    until(lambda: car.got == [Force(7), arduino.Ticks(1)])
-    del car.got[:]
-    with board.unplugged():
-        until(lambda: not car.port.is_open)
-    until(lambda: car.port.is_open)
-    line.write(force * 3 + TICKS)
-    until(lambda: car.got)
-    assert car.got == [arduino.Ticks(1)]
-    line.write(packets(TEXT)[2] + force)
-    until(lambda: len(car.got) == 2)
-    assert car.got[1] == Force(7)
-    car.announcement.rows = ['force']
-    assert dict(car.report(time.monotonic()).values)['held back'] == 3
-    line.write(b''.join(packets(OTHER)) + force + TICKS)
-    until(lambda: len(car.got) == 3)
-    assert car.got[2] == arduino.Ticks(1), 'the board announces something else now'
+    force, link = arduino.encode(Force(7)), car.link
+    link.decoder.add_message(Force)
+    car.give(b''.join(packets(TEXT)))
+    assert not link.announcement.is_current       # until its rows are in use
+    link.announcement.use(TEXT, 'nano_car 1.1.0', ['force'])
+    car.give(force + TICKS)
+    assert car.got == [Force(7), arduino.Ticks(1)]
+    car.unplug().plug().give(force * 3 + TICKS)
+    assert car.got[2:] == [arduino.Ticks(1)]
+    with pytest.raises(Refused, match='has not announced it'):
+        link.command(Force(2))
+    car.give(packets(TEXT)[2] + force)
+    assert car.got[3:] == [Force(7)]
+    values = dict(link.report(car.port.time).values)
+    assert (values['held back'], values['firmware'], values['announced']) == (
+        3, 'nano_car 1.1.0', 'force')
+    car.give(b''.join(packets(OTHER)) + force + TICKS)
+    assert car.got[4:] == [arduino.Ticks(1)], 'the board announces something else now'
 
 
-def test_values_of_the_sensor_boards_announced_rows_are_held_back(line, logger, running):
-    got = []
-    kind = type('Custom', (mcu.AdcStatus,), {'TYPE': 0x70, 'ANNOUNCED': True})
-    link = McuLink(Port(line.path), timeout=60.0, logger=logger, messages=[kind],
-                   on_status=lambda message, seq, stamp: got.append(seq))
-    link.announcement.on_text = lambda text: link.announcement.use(text, '', [])
-    running(link)
-    until(lambda: link.port.is_open)
-    line.write(mcu.encode(kind(*range(6)), 0) + mcu.encode(mcu.AdcStatus(*range(6)), 1))
-    until(lambda: got)
-    line.write(b''.join(mcu.encode(chunk, seq + 2) for seq, chunk in
-                        enumerate(chunks_of(TEXT, 200))) + mcu.encode(kind(*range(6)), 3))
-    until(lambda: len(got) == 2)
-    assert got == [1, 3] and link.announcement.held_back == 1 and link.frames_lost == 0
-
-
-def test_no_thread_can_send_an_announced_command_to_a_port_that_was_just_opened(
-        line, board, car, monkeypatch):
-    """It is tried in the moment when the port is open and no thread of the link has run yet."""
-    line.write(b''.join(packets(TEXT)))
-    until(lambda: car.texts)
-    car.announcement.use(TEXT, '', [])
-    car.command(Force(1))
-    until(lambda: board.messages(Force) == [Force(1)])      # an unplugged line loses it
-    tried = []
-    really_open = car.port.open
-
-    def open_and_command():
-        really_open()
-        with pytest.raises(Refused, match='has not announced it') as refused:
-            car.command(Force(2))
-        tried.append(refused)
-
-    monkeypatch.setattr(car.port, 'open', open_and_command)
-    with board.unplugged():
-        until(lambda: not car.port.is_open)
-    until(lambda: tried)
-    heartbeats = car.heartbeats_sent
-    until(lambda: car.heartbeats_sent > heartbeats + 3)
-    assert board.messages(Force) == [Force(1)]
-
-
-def test_a_text_that_is_too_long_is_refused_with_one_line(line, car, lines):
-    line.write(b''.join(arduino.encode(Chunk(index, 12, 7, bytes(200))) for index in range(12)))
-    until(lambda: lines('over 2048 bytes'))
-    line.write(b''.join(packets(TEXT)))
-    until(lambda: car.texts)
+def test_a_text_that_is_too_long_is_refused_with_one_line(car, lines):
+    car.give(b''.join(arduino.encode(Chunk(index, 12, 7, bytes(200))) for index in range(12)))
+    car.give(b''.join(packets(TEXT)))
     assert car.texts == [TEXT] and len(lines('over 2048 bytes')) == 1
 
 
-def test_diagnostics_have_the_keys_once_something_is_announced(car):
-    keys = set(dict(car.report(time.monotonic()).values))
-    assert not {'firmware', 'announced', 'held back'} & keys
-    car.announcement.use(TEXT, 'nano_car 1.1.0', ['force', 'gripper'])
-    values = dict(car.report(time.monotonic()).values)
-    assert (values['firmware'], values['announced']) == ('nano_car 1.1.0', 'force, gripper')
+def test_diagnostics_have_no_keys_before_something_is_announced(car):
+    assert not {'firmware', 'announced', 'held back'} & set(
+        dict(car.link.report(car.port.time).values))
 
 
-def test_chunks_of_the_sensor_board_count_in_seq_and_are_no_sign_of_life(line, logger, running):
-    silences = []
-    link = McuLink(Port(line.path), timeout=0.1, logger=logger,
-                   on_silence=lambda *silence: silences.append(silence))
-    texts = []
-    link.announcement.on_text = texts.append
-    running(link)
-    until(lambda: link.port.is_open)
-    line.write(b''.join(mcu.encode(chunk, seq + 7) for seq, chunk in
-                        enumerate(chunks_of(TEXT, 20))))
-    until(lambda: texts and silences)
-    assert texts == [TEXT] and link.frames_lost == 0 and link.silent
-    assert {kind for kind, _, _ in silences} == {None}
+def test_chunks_of_the_sensor_board_count_in_seq_and_are_no_sign_of_life(logger):
+    silences, texts = [], []
+    sensors = Steps(McuLink, timeout=0.1, logger=logger,
+                    on_silence=lambda *silence: silences.append(silence))
+    sensors.link.announcement.on_text = texts.append
+    sensors.run(0.05).give(b''.join(mcu.encode(chunk, seq + 7) for seq, chunk in
+                                    enumerate(chunks_of(TEXT, 20))), 1.0)
+    assert texts == [TEXT] and sensors.link.frames_lost == 0 and sensors.link.silent
+    assert {kind for kind, _, _ in silences} == {None} and sensors.port.wrote == []
 
 
-def test_the_silence_of_classes_that_were_replaced_is_not_kept(line, logger, running):
-    link = running(McuLink(Port(line.path), timeout=20.0, logger=logger))
-    until(lambda: link.port.is_open)
+def test_the_silence_of_classes_that_were_replaced_is_not_kept(logger):
+    sensors = Steps(McuLink, timeout=20.0, logger=logger).run(0.1)
     for seq in range(5):
         kind = type('Custom', (mcu.AdcStatus,), {'TYPE': 0x70})
-        link.decoder.add_message(kind)
-        line.write(mcu.encode(kind(*range(6)), seq))
-        until(lambda seq=seq: link.frames_received == seq + 1)
-        link.decoder.remove_message(kind)
-    assert set(link._latest) == {None, 0x70}
-
-
-def test_the_sensor_board_gets_no_byte(line, logger, running):
-    link = McuLink(Port(line.path), logger=logger)
-    texts = []
-    link.announcement.on_text = texts.append
-    running(link)
-    until(lambda: link.port.is_open)
-    line.write(b''.join(mcu.encode(chunk, seq) for seq, chunk in enumerate(chunks_of(TEXT, 20))))
-    until(lambda: texts)
-    assert line.read(0.1) == b''
+        sensors.link.decoder.add_message(kind)
+        sensors.give(mcu.encode(kind(*range(6)), seq))
+        sensors.link.decoder.remove_message(kind)
+    assert set(sensors.link._latest) == {None, 0x70}
 
 
 # -- the bus ---------------------------------------------------------------------------------------
-
-ASKED = bus.FUNCTION, 0xFF
-
-
-class AnnouncingBoard(BusBoard):
-    """Answers requests for its announcement from `chunks`."""
-
-    chunks = []
-
-    def usual(self, request):
-        if request[:2] != ASKED or not self.chunks:
-            return super().usual(request)
-        index, = request.data
-        return bus.Reply(bus.OK, self.chunks[index].pack() if index < len(self.chunks) else b'')
-
-    def questions(self):
-        """The indices that it was asked for."""
-        return [request.data for request in self.requests() if request[:2] == ASKED]
-
-
-@pytest.fixture
-def bus_board(line, running):
-    return running(AnnouncingBoard(line))
-
-
-@pytest.fixture
-def bus_link(line, logger, running, bus_board):
-    # No question is repeated since this machine is slow, unless a test waits for that.
-    def start(announcements=True, reply_timeout=5.0, **settings):
-        link = BusLink(Port(line.path), BusSettings(
-            reply_timeout=reply_timeout, environment_period=0.05, announcements=announcements,
-            **settings), logger=logger)
-        link.texts = []
-        link.announcement.on_text = link.texts.append
-        return running(link)
-    return start
-
-
-def test_a_bus_board_is_asked_only_if_the_parameter_says_so(bus_board, bus_link):
-    bus_board.chunks = chunks_of(TEXT, 20)
-    bus_link(announcements=False)
-    until(lambda: len(bus_board.executed) > 5)
-    assert bus_board.questions() == [] and set(bus_board.executed) == {bus.ENVIRONMENT_REQUEST}
-
-
-def test_a_bus_board_is_asked_for_each_chunk_once_a_connection_after_sync(bus_board, bus_link):
-    bus_board.chunks = chunks_of(TEXT, 20)
-    link = bus_link()
-    until(lambda: link.texts)
-    environment = bus_board.executed.count(bus.ENVIRONMENT_REQUEST)
-    until(lambda: bus_board.executed.count(bus.ENVIRONMENT_REQUEST) > environment + 3)
-    assert link.texts == [TEXT]
-    assert bus_board.questions() == [bytes((index,)) for index in range(len(bus_board.chunks))]
-    kinds = [request.cmd1 for request in bus_board.requests()]
-    assert kinds.index(bus.SYNC) < kinds.index(bus.FUNCTION)
-    first = next(frame for frame in bus_board.frames if frame.message[:2] == ASKED)
-    assert first.raw == bytes.fromhex('a50155ff000e')
-    with bus_board.unplugged():
-        until(lambda: not link.port.is_open)
-    until(lambda: len(bus_board.questions()) == 2 * len(bus_board.chunks))
-    assert link.texts == [TEXT]
-
-
-@pytest.mark.parametrize('answer', [
-    bus.Reply(bus.ERROR, b'\x00\x80'), bus.Reply(bus.INVALID, b'\x20'), bus.Reply(bus.OK),
-    bus.Reply(bus.OK, b'\0\1')],
-    ids=('error', 'invalid', 'OK without data', 'OK that is too short'))
-def test_any_other_answer_means_that_nothing_is_announced(bus_board, bus_link, answer):
-    bus_board.rule = lambda request: answer if request[:2] == ASKED else None
-    link = bus_link(retries=0)
-    until(lambda: link.texts)
-    seen = len(bus_board.executed)
-    until(lambda: len(bus_board.executed) > seen + 3)
-    assert link.texts == [b''] and bus_board.questions() == [b'\0']
-
-
-@pytest.fixture
-def short_pauses(monkeypatch):
-    monkeypatch.setattr(announcement, '_PAUSES', (0.0, 0.01, 0.02, 0.03, 0.04, 0.05),
-                        raising=False)
-
-
-def test_a_board_that_never_answers_the_question_is_asked_six_times(
-        bus_board, bus_link, short_pauses, lines):
-    bus_board.rule = lambda request: b'' if request[:2] == ASKED else None
-    link = bus_link(reply_timeout=0.2, retries=0)
-    until(lambda: lines('does not answer the question for its announcement'))
-    seen = len(bus_board.executed)
-    until(lambda: len(bus_board.executed) > seen + 3)
-    # A stall of this machine may end the session; the next one, after SYNC, asks anew.
-    sessions = len(bus_board.requests(bus.SYNC))
-    assert link.texts == [] and 6 <= len(bus_board.questions()) <= 6 * sessions
-
 
 class Questions:
     """A question whose answers and times the test sets."""
@@ -361,100 +167,47 @@ def test_a_question_from_before_a_sync_says_nothing_about_the_board_behind_it(lo
     assert questions.question.step(5.0) == b'new'
 
 
-@pytest.fixture
-def log(logger):
-    return SparingLog('bus', logger)
+def answer(questions, chunks, most=1000):
+    """Answer questions from these chunks until a text is known; return it."""
+    for at in range(most):
+        text = questions.question.step(at / 10)
+        if text is not None:
+            return text
+        call = questions.asked[-1]
+        if call.outcome is None:
+            index, = call.request.data
+            call.finish(Outcome(bus.OK, '', 0,
+                                chunks[index].pack() if index < len(chunks) else b''))
+    return None
 
 
-class Exchange:
-    """A rule for a board that is replaced by another one, which is not synchronised at first."""
-
-    def __init__(self, board):
-        self.board = board
-        self.synchronised = True
-        board.rule = self
-
-    def replace(self, text):
-        self.synchronised = False
-        self.board.chunks = chunks_of(text, 20)
-        del self.board.executed[:]
-
-    def __call__(self, request):
-        if request.cmd1 == bus.SYNC:
-            self.synchronised = True
-        return None if self.synchronised else bus.Reply(bus.INVALID, b'\x10')
+@pytest.mark.parametrize('outcome', [
+    Outcome(bus.ERROR, 'x', 0x8001), Outcome(bus.INVALID, 'x', 0x20)], ids=('error', 'invalid'))
+def test_a_refusal_means_that_nothing_is_announced(log, outcome):
+    questions = Questions(log)
+    questions.question.step(0.0)
+    questions.asked[0].finish(outcome)
+    assert questions.question.step(0.1) == b'' and len(questions.asked) == 1
 
 
-PUMP = bus.Request(bus.FUNCTION, 0x30)
-PUMP_FUNCTION = bus.Function('pump', 0x30, announced=True)
+def test_a_bus_board_is_asked_for_each_chunk_once(log):
+    questions = Questions(log)
+    assert answer(questions, chunks_of(TEXT, 20)) == TEXT
+    assert [call.request.data for call in questions.asked] == [
+        bytes((index,)) for index in range(len(chunks_of(TEXT, 20)))]
+    assert bus.encode_request(questions.asked[0].request) == bytes.fromhex('a50155ff000e')
 
 
-def test_nothing_announced_is_sent_to_another_board_behind_the_same_port(bus_board, bus_link):
-    bus_board.chunks = chunks_of(TEXT, 20)
-    exchange = Exchange(bus_board)
-    link = bus_link()
-    until(lambda: link.texts == [TEXT])
-    link.announcement.use(TEXT, '', [])
-    link.polls.add(PUMP_FUNCTION, 0.01, lambda outcome: None)
-    until(lambda: PUMP in bus_board.executed)
-    assert link.request(PUMP, PUMP_FUNCTION).success
-    exchange.replace(OTHER)
-    outcome = link.request(PUMP, PUMP_FUNCTION)
-    assert outcome.status == NOT_SENT or outcome.status == bus.INVALID
-    until(lambda: link.texts == [TEXT, OTHER])
-    assert not link.announcement.is_current
-    assert link.request(PUMP, PUMP_FUNCTION).status == NOT_SENT
-    assert PUMP not in bus_board.executed
-    exchange.replace(TEXT)
-    until(lambda: link.texts == [TEXT, OTHER, TEXT])
-    assert link.request(PUMP, PUMP_FUNCTION).success
-
-
-def test_a_board_that_was_restarted_is_asked_again_after_sync(bus_board, bus_link):
-    """The caller's SYNC is the first request that it gets."""
-    bus_board.chunks = chunks_of(TEXT, 20)
-    link = bus_link()
-    until(lambda: link.texts == [TEXT])
-    bus_board.chunks = chunks_of(OTHER, 20)
-    assert link.call(bus.SYNC_FUNCTION, ()).success
-    until(lambda: link.texts == [TEXT, OTHER])
-
-
-def test_a_bus_board_that_no_longer_announces_is_noticed_after_a_reconnect(bus_board, bus_link):
-    bus_board.chunks = chunks_of(TEXT, 20)
-    link = bus_link()
-    until(lambda: link.texts == [TEXT])
-    with bus_board.unplugged():
-        until(lambda: not link.port.is_open)
-        bus_board.chunks = []
-    until(lambda: link.texts == [TEXT, b''])
-
-
-def test_a_text_that_changes_while_it_is_asked_for_is_read_anew(bus_board, bus_link):
-    bus_board.chunks = chunks_of(TEXT, 20)
-
-    def change(request):
-        if request[:2] == ASKED and request.data == b'\2':
-            bus_board.chunks = chunks_of(OTHER, 10)
-    bus_board.rule = change
-    link = bus_link()
-    until(lambda: link.texts)
-    assert link.texts == [OTHER]
-
-
-def test_a_text_whose_crc_never_matches_is_ignored_after_three_rounds(bus_board, bus_link, lines):
-    bus_board.chunks = [chunk._replace(crc=1) for chunk in chunks_of(TEXT, 50)]
-    link = bus_link()
-    until(lambda: link.texts)
-    seen = len(bus_board.executed)
-    until(lambda: len(bus_board.executed) > seen + 3)
-    assert link.texts == [b''] and len(bus_board.questions()) == 3 * len(bus_board.chunks)
+@pytest.mark.parametrize('chunks', [
+    [chunk._replace(crc=1) for chunk in chunks_of(TEXT, 50)], chunks_of(TEXT, 20)[:1] * 300],
+    ids=('the CRC never matches', 'the index is ignored'))
+def test_a_text_that_cannot_be_read_is_given_up_after_three_rounds(log, lines, chunks):
+    questions = Questions(log)
+    assert answer(questions, chunks) == b''
+    assert len(questions.asked) == 3 * chunks[0].count
     assert len(lines('does not match its text in 3 rounds')) == 1
 
 
-def test_a_board_that_ignores_the_index_is_asked_for_three_rounds(bus_board, bus_link, lines):
-    bus_board.chunks = chunks_of(TEXT, 20)[:1] * 300
-    link = bus_link()
-    until(lambda: link.texts)
-    assert link.texts == [b''] and len(lines('does not match its text in 3 rounds')) == 1
-    assert len(bus_board.questions()) == 3 * len(chunks_of(TEXT, 20))
+@pytest.fixture
+def log(logger):
+    return SparingLog('bus', logger)

@@ -1,6 +1,6 @@
 """The protocols of doc/protocols.md, byte by byte, without the package's code: small and slow.
 
-Tests and the fault campaign use these decoders, so that an error in the package's decoders cannot
+Tests and the judge use these decoders, so that an error in the package's decoders cannot
 hide itself. Each protocol is one function, `frame_at`, which returns the frame that begins at a
 given place of a stream. `decode` returns the frames that a decoder must find, and `all_frames` the
 valid frames at any place: no decoder may find others, whatever the damage is.

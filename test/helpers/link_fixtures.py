@@ -8,7 +8,6 @@ import time
 
 import pytest
 
-from fake_boards import Board
 from lines import Pty
 from waiting import PATIENCE
 
@@ -50,15 +49,10 @@ def every_thread_ends():
 
 
 @pytest.fixture(autouse=True)
-def this_machine_stalls_no_link(request, monkeypatch):
-    """Links do not drop what waited while this machine gave them no processor time.
-
-    Tests of stalls are marked with `stalls`.
-    """
-    if not request.node.get_closest_marker('stalls'):
-        monkeypatch.setattr(connection, 'STALL', _NEVER)
-        monkeypatch.setattr(motor, 'STALL', _NEVER)
-        monkeypatch.setattr(output, 'STALL', _NEVER)
+def this_machine_stalls_no_link(monkeypatch):
+    """Links do not drop what waited while this machine gave them no processor time."""
+    for module in connection, motor, output:
+        monkeypatch.setattr(module, 'STALL', _NEVER)
 
 
 @pytest.fixture
@@ -96,19 +90,16 @@ def lines(caplog):
 
 @pytest.fixture
 def running():
-    """A function that starts a link, which is stopped when the test ends; or a board, which runs
-    already."""
+    """A function that starts a link, which is stopped when the test ends."""
     started = []
 
-    def start(thing):
-        started.append(thing)
-        if not isinstance(thing, Board):
-            thing.start()
-        return thing
+    def start(link):
+        started.append(link)
+        link.start()
+        return link
 
     yield start
-    for thing in reversed(started):
-        thing.close() if isinstance(thing, Board) else thing.stop()
-    for thing in started:
-        if hasattr(thing, 'join'):
-            thing.join()
+    for link in started:
+        link.stop()
+    for link in started:
+        link.join()

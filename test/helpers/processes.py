@@ -1,4 +1,4 @@
-"""The processes of the campaign and the bench: a separate roscore, the node and other children.
+"""The processes of the bench and of test/slow: a separate roscore, the node and other children.
 
 All of them end with the `with` block, or with the process that started them, whatever happens.
 """

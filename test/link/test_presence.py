@@ -3,24 +3,21 @@ a wrong baud rate, of the heartbeat's priority, and of a lost port."""
 import logging
 import os
 import random
-import time
 
 import pytest
 
-from fake_boards import CarBoard, until
+from steps import Steps
 from serial_communication.boards.bus.link import BusLink
-from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
+from serial_communication.boards.arduino.heartbeat import HeartbeatThread
+from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.arduino.calibration import Calibration
 from serial_communication.framing.stream import FRAMING, invalid_frame
-from serial_communication.link import link as link_module
-from serial_communication.link import presence as presence_module
-from serial_communication.link.link import ERROR, RX, SILENCE, WARN
+from serial_communication.link.link import ERROR, OK, WARN
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.link.presence import Presence
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.transport.port import Port
 
 NO_FRAME = ('no valid frame: wrong baud rate or board? end the bridge and run '
             '`rosrun serial_communication ports`')
@@ -65,102 +62,73 @@ def test_frequent_changes_are_logged_sparingly_and_the_last_state_is_logged(pres
     assert said()[-1] == 'the board is silent'
 
 
-def test_a_car_that_talks_falls_silent_and_is_back_is_logged(line, running, open_link, said):
-    class Car(CarBoard):
-        talks = True
+SILENT = 'the board is silent; check its power, its wiring and the baud rate (115200)'
 
-        def idle(self):
-            if self.talks:
-                self.line.write(arduino.encode(arduino.Voltage(12.0)))
 
-    car = running(Car(line))
-    link = open_link(ArduinoLink, ArduinoSettings(network_silence=0.0))
-    until(lambda: said() == ['ready: the board talks'])
-    assert 'silent' not in link.condition(link.last_frame_at)[1]
-    car.talks = False
-    until(lambda: len(said()) == 2)
-    assert 'open, the board is silent' in link.condition(time.monotonic())[1]
-    assert said()[1] == ('the board is silent; check its power, its wiring and the baud rate '
-                         '(115200)')
-    car.talks = True
-    until(lambda: len(said()) == 3)
+def send(steps, data, seconds=8.0):
+    """The board sends these bytes again and again."""
+    for _ in range(int(seconds / 0.2)):
+        steps.give(data, 0.2)
+    return steps
+
+
+def test_a_car_that_talks_falls_silent_and_is_back_is_logged(logger, said):
+    car = send(Steps(ArduinoLink, logger=logger).run(0.1), TICKS, 1.0)
+    assert said() == ['ready: the board talks']
+    assert car.link.condition(car.port.time) == (OK, 'open')
+    car.run(5.0)
+    assert said()[1:] == [SILENT]
+    assert car.link.condition(car.port.time) == (WARN, 'open, the board is silent')
+    send(car, TICKS, 1.0)
     assert said()[2].startswith('the board is back, it was silent for ')
 
 
-def test_a_car_that_calibrates_does_not_count_as_silent(line, logger):
-    link = ArduinoLink(Port(line.path), logger=logger)
-    now = time.monotonic()
-    link.last_frame_at = link.connection.opened_at = now
-    later = now + 2 * SILENCE
-    assert link.talks(later) is False
-    link.output.calibration = Calibration(900.0, later)
-    assert link.talks(later) is None
+def test_a_car_that_calibrates_does_not_count_as_silent():
+    car = send(Steps(ArduinoLink).run(0.1), TICKS, 1.0).run(10.0)
+    assert car.link.talks(car.port.time) is False
+    car.link.output.calibration = Calibration(900.0, car.port.time)
+    assert car.link.talks(car.port.time) is None
 
 
-def test_silence_from_the_beginning_is_logged_after_the_startup_time(
-        line, open_link, said, monkeypatch):
-    monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.5)
-    began = time.monotonic()
-    open_link(McuLink, timeout=0.1)
-    until(said)
-    assert time.monotonic() >= began + 0.5
-    assert said()[0].startswith('the board is silent')
-    talk = mcu.encode(mcu.SensorStatus(1, 2, 0.0, 0.0, 0.0), 0)
-    until(lambda: line.write(talk) or len(said()) >= 2)
-    assert said()[1] == 'ready: the board talks'
+def test_silence_from_the_beginning_is_logged_after_the_startup_time(logger, said):
+    sensors = Steps(McuLink, logger=logger).run(1.0)
+    assert said() == []
+    sensors.run(9.0)
+    assert said() == [SILENT]
+    send(sensors, STATUS, 1.0)
+    assert said()[1:] == ['ready: the board talks']
 
 
 @pytest.mark.parametrize('granted', [True, False])
-def test_whether_the_heartbeat_has_real_time_priority_is_logged_once(
-        open_link, lines, monkeypatch, granted):
+def test_the_words_on_the_heartbeats_priority(monkeypatch, granted):
     def schedule(*_arguments):
         if not granted:
             raise PermissionError
     monkeypatch.setattr(os, 'sched_setscheduler', schedule)
-    open_link(ArduinoLink)
-    until(lambda: lines('real-time', logging.INFO))
-    said, = lines('real-time', logging.INFO)
-    assert said.startswith('arduino: the heartbeat has real-time priority' if granted else
-                           'arduino: no real-time priority for the heartbeat')
+    thread = HeartbeatThread('heartbeat', 100.0, lambda due: due, lambda text: None, lambda: 0.0)
+    said = thread.start()
+    thread.stop(1.0)
+    assert said.startswith('the heartbeat has real-time priority' if granted else
+                           'no real-time priority for the heartbeat')
     assert ('rtprio' in said) == (not granted)
 
 
-def test_a_port_lost_while_the_bridge_ends_is_not_logged(line, open_link, lines):
-    link = open_link(McuLink)
-    line.unplug()
-    until(lambda: not link.port.is_open)
-    link.stop()
-    link.join()
+def test_a_lost_port_is_logged_in_order_and_sparingly(logger, lines):
+    sensors = Steps(McuLink, logger=logger).run(0.1).unplug().run(1.0)
+    first, second = lines()
+    assert 'opening it again when it returns' in first and 'waiting for it' in second
+    sensors.plug().unplug().plug()
+    assert sensors.link.connection.reconnects == 2 and len(lines()) == 2
+
+
+def test_a_port_lost_while_the_bridge_ends_is_not_logged(logger, lines):
+    sensors = Steps(McuLink, logger=logger).run(0.1).unplug()
+    sensors.link.stop()
+    sensors.run(2.0)
     assert not lines()
 
 
-def test_a_port_lost_at_another_time_is_logged_in_order_and_sparingly(line, open_link, lines):
-    link = open_link(McuLink)
-    line.unplug()
-    until(lambda: len(lines()) == 2)
-    assert 'opening it again when it returns' in lines()[0] and 'waiting for it' in lines()[1]
-    line.plug()
-    until(lambda: link.connection.reconnects)
-    before = len(lines())
-    line.unplug()
-    line.plug()
-    until(lambda: link.connection.reconnects == 2)
-    assert len(lines()) == before       # the same loss within 10 s is not logged again
-
-
 # -- what comes instead of the board's frames -----------------------------------------------------
-
-@pytest.fixture
-def soon(monkeypatch):
-    """No valid frame is reported at once, and no board starts up silently."""
-    monkeypatch.setattr(link_module, 'STARTUP_TIME', 0.0)
-    monkeypatch.setattr(presence_module, '_NO_FRAME_TIME', 0.1)
-
-
-def send(line, data, condition, every=0.02):
-    """Send these bytes every `every` s until the condition is true."""
-    until(condition, doing=lambda: line.write(data), every=every)
-
 
 def test_bytes_without_a_valid_frame_are_reported_after_5_s(presence, lines):
     words = []
@@ -190,23 +158,22 @@ def test_a_board_that_only_announces_is_silent(presence, lines):
 @pytest.mark.parametrize('kind, level, data', [
     (McuLink, WARN, GARBAGE), (McuLink, WARN, TICKS), (ArduinoLink, WARN, STATUS),
     (BusLink, ERROR, STATUS)])
-def test_a_wrong_board_or_baud_rate_is_a_line_and_a_condition(
-        line, open_link, lines, soon, kind, level, data):
-    link = open_link(kind)
+def test_a_wrong_board_or_baud_rate_is_a_line_and_a_condition(kind, level, data, logger, lines):
+    steps = send(Steps(kind, logger=logger).run(0.1), data)
     words = NO_FRAME if kind is BusLink else f'open, {NO_FRAME}'
-    send(line, data, lambda: lines(NO_FRAME))
-    send(line, data, lambda: link.condition(time.monotonic()) == (level, words))
-    assert lines(NO_FRAME) == [f'{link.name}: {NO_FRAME}']
-    state = dict(link.report(time.monotonic()).values)['state']
-    assert state.partition('; heartbeat gap')[0] == words
+    assert lines(NO_FRAME) == [f'{steps.link.name}: {NO_FRAME}']
+    assert steps.link.condition(steps.port.time) == (level, words)
+    assert dict(steps.link.report(steps.port.time).values)['state'] == words
 
 
-def test_the_words_change_with_what_is_received(line, open_link, lines, soon):
-    link = open_link(McuLink)
-    until(lambda: lines('the board is silent'))
-    send(line, TICKS, lambda: lines(NO_FRAME))
-    send(line, STATUS, lambda: lines('ready: the board talks', logging.INFO))
-    assert link.condition(time.monotonic()) == (0, 'open')
+def test_the_words_change_with_what_is_received(logger, lines):
+    sensors = Steps(McuLink, logger=logger).run(10.0)
+    assert lines('the board is silent')
+    send(sensors, TICKS)
+    assert lines(NO_FRAME)
+    send(sensors, STATUS, 4.0)
+    assert lines('ready: the board talks', logging.INFO)
+    assert sensors.link.condition(sensors.port.time) == (OK, 'open')
 
 
 @pytest.mark.parametrize('kind, data, text, instead', [
@@ -218,27 +185,22 @@ def test_the_words_change_with_what_is_received(line, open_link, lines, soon):
     (McuLink, STATUS + b'distance: 7\n', 'distance: 7', 'another port'),
     (McuLink, b'a text of any length, without an end ', 'a text of any length', 'another port'),
     (BusLink, b'pump on\r\n', 'pump on', 'another port')])
-def test_a_sketch_that_prints_text_is_told(
-        line, open_link, lines, soon, kind, data, text, instead):
-    link = open_link(kind)
+def test_a_sketch_that_prints_text_is_told(kind, data, text, instead, logger, lines):
+    steps = send(Steps(kind, logger=logger).run(0.1), data)
     words = f'the sketch prints text to this port: use {instead}'
-    begin = f"{link.name}: {words}: '{text}"
-    for condition in (lambda: any(each.startswith(begin) for each in lines('the sketch prints')),
-                      lambda: words in link.report(time.monotonic()).summary):
-        send(line, data, condition, every=0.1)      # noise ends after a pause
-    assert link.decoder.errors['framing'] > 0
+    assert any(each.startswith(f"{steps.link.name}: {words}: '{text}") for each in lines(words))
+    assert words in steps.link.report(steps.port.time).summary
+    assert steps.link.decoder.errors['framing'] > 0
 
 
-def test_a_frame_that_the_opening_cut_is_no_text(line, open_link, lines):
+def test_a_frame_that_the_opening_cut_is_no_text(logger, lines):
     """An announcement is text; the port may be opened while one of its chunks is sent."""
-    link = open_link(ArduinoLink)
-    line.write(b"uino/UInt16, layout: '<H', fields: [data]}\nlamp: {type: 33\0" + TICKS)
-    until(lambda: link.frames_received == 2)
-    assert link.decoder.errors['framing'] == 1 and not lines('prints text')
+    car = Steps(ArduinoLink, logger=logger).run(0.1)
+    car.give(b"uino/UInt16, layout: '<H', fields: [data]}\nlamp: {type: 33\0" + TICKS)
+    assert car.link.frames_received == 2 and car.link.decoder.errors['framing'] == 1
     # Neither is a message with a text, or damage inside a chunk.
-    line.write(arduino.encode_raw(77, b'a text of any length, which is a value') + b'\x30' + TICKS)
-    until(lambda: lines('unknown type') and link.frames_received == 3)
-    assert not lines('prints text')
+    car.give(arduino.encode_raw(77, b'a text of any length, which is a value') + b'\x30' + TICKS)
+    assert lines('unknown type') and not lines('prints text')
 
 
 def test_random_bytes_are_no_text(presence):
@@ -252,34 +214,19 @@ def test_random_bytes_are_no_text(presence):
     (ArduinoLink, arduino.encode_raw(40, b'\1\2') + arduino.encode_raw(41, b'')),
     (ArduinoLink, b'\x30\0' + arduino.encode_raw(40, b'\1' * 20)),
     (McuLink, mcu.encode_raw(0x20, 0, b'\1'))])
-def test_types_that_nobody_knows_are_not_another_baud_rate(
-        line, open_link, lines, soon, kind, data):
-    link = open_link(kind)
-    send(line, data, lambda: lines(UNKNOWN))
-    send(line, data, lambda: link.condition(time.monotonic()) == (WARN, f'open, {UNKNOWN}'))
-    assert not lines(NO_FRAME)
+def test_types_that_nobody_knows_are_not_another_baud_rate(kind, data, logger, lines):
+    steps = send(Steps(kind, logger=logger).run(0.1), data)
+    assert lines(UNKNOWN) and not lines(NO_FRAME)
+    assert steps.link.condition(steps.port.time) == (WARN, f'open, {UNKNOWN}')
 
 
 @pytest.mark.parametrize('kind, data', [
     (ArduinoLink, arduino.encode_raw(40, b'\1\2')), (McuLink, mcu.encode_raw(0x20, 0, b'\1'))])
-def test_types_that_the_board_may_still_announce_are_no_errors(
-        line, logger, running, lines, monkeypatch, kind, data):
-    monkeypatch.setattr(link_module, '_ANNOUNCING', 1e9)
-    link = kind(Port(line.path), logger=logger)
-    link.announcement.on_text = lambda text: None
-    taken = []
-    link.tap = lambda name, direction, frame: direction == RX and taken.append(link.error_count())
-    running(link)
-    until(lambda: link.port.is_open)
-    line.write(data * 3)
-    until(lambda: len(taken) == 3)
-    assert taken == [0, 0, 0] and not lines('unknown type')
-    monkeypatch.setattr(link_module, '_ANNOUNCING', 0.0)
-    send(line, data, link.error_count)
-    assert link.decoder.errors['unknown type'] == link.error_count()
-
-
-def test_without_announcements_an_unknown_type_is_an_error_at_once(line, open_link):
-    link = open_link(ArduinoLink)
-    line.write(arduino.encode_raw(40, b''))
-    until(lambda: link.decoder.errors['unknown type'] == 1)
+def test_types_that_the_board_may_still_announce_are_no_errors(kind, data, logger, lines):
+    steps = Steps(kind, logger=logger).run(0.1)
+    assert steps.give(data).link.error_count() == 1, 'without announcements'
+    steps = Steps(kind, logger=logger)
+    steps.link.announcement.on_text = lambda text: None
+    send(steps.run(0.2), data, 4.0)
+    assert steps.link.error_count() == 0
+    assert send(steps, data, 4.0).link.decoder.errors['unknown type'] > 0

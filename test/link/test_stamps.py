@@ -1,13 +1,11 @@
-"""Stamps of frames with the board's time: their values by given times, and links at a real tty."""
+"""Stamps of frames with the board's time: their values by given times."""
 import time
 
 import pytest
-from fake_boards import until
-from waiting import again_if_stalled
 
 from serial_communication.boards.arduino import custom_messages
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
+from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.framing.board_time import LEAST_POINTS
@@ -134,11 +132,9 @@ def test_the_clock_is_learnt_anew_after_the_port_was_opened_or_the_board_was_res
     assert car.measure(0.04) < 0.03
 
 
-@pytest.mark.stalls
-def test_the_clock_is_learnt_anew_after_a_stall(car, monkeypatch):
+def test_the_clock_is_learnt_anew_after_a_stall(car):
     car.settle()
     connection, at = car.link.connection, [1000.0]
-    monkeypatch.setattr('serial_communication.transport.pace.clock', lambda: at[0])
     connection.stalls.awake_at = 1000.0
     for seconds in (2 * STALL, *[STALL / 2] * 5):
         at[0] += seconds
@@ -257,60 +253,6 @@ def test_stamps_are_made_earlier_by_the_function_of_the_caller(logger):
     assert seconds == pytest.approx(GROUP * BYTE, abs=1e-4)
 
 
-def test_stamps_over_a_tty(line, logger, running):
-    """A frame that waited for 0.5 s has a stamp from before it was sent; `tap` has the read's."""
-    got, shown = [], []
-    link = running(McuLink(Port(line.path), timeout=60.0, logger=logger, clock=time.monotonic,
-                           on_status=lambda message, seq, stamp: got.append(stamp)))
-    link.tap = lambda name, direction, frame: shown.append((frame.type, frame.stamp))
-    until(lambda: link.port.is_open)
-
-    def send(measured):
-        count, seq = len(shown) + 2, len(shown) % 256
-        line.write(mcu.encode(mcu.Time(round(measured * 1e6) % 2 ** 32), seq)
-                   + mcu.encode(ADC, seq + 1))
-        until(lambda: len(shown) == count)
-
-    while dict(link.report(time.monotonic()).values).get(
-            'read delay p50 [ms]', '-') == '-':
-        send(time.monotonic())
-
-    def has_both_times():
-        measured = time.monotonic()
-        time.sleep(0.5)
-        sent = time.monotonic()
-        send(measured)
-        assert [type_ for type_, _stamp in shown[-2:]] == [mcu.Time.TYPE, mcu.AdcStatus.TYPE]
-        assert shown[-1][1] >= sent
-        return measured - 0.05 < got[-1] < sent - 0.25      # not if it is over 1 s late
-    again_if_stalled(has_both_times)
-    assert link.frames_lost == 0
-
-
-def test_the_time_in_which_the_clock_returns_is_not_in_the_stamp(line, logger, running):
-    """It varies: the clock of ROS makes an object."""
-    got, pause = [], [0.0]
-
-    def clock():
-        stamp = time.monotonic()
-        time.sleep(pause[0])
-        return stamp
-
-    def measure():
-        count, measured = len(got) + 1, time.monotonic()
-        line.write(arduino.encode(arduino.Time(round(measured * 1e6) % 2 ** 32, 1))
-                   + arduino.encode(arduino.Ticks(1)))
-        until(lambda: len(got) == count)
-        return got[-1] - measured
-
-    link = running(ArduinoLink(Port(line.path), logger=logger, clock=clock,
-                               on_message=lambda message, stamp: got.append(stamp)))
-    until(lambda: link.port.is_open)
-    until(lambda: link.stamps.values()[0][1] != '-', doing=measure)
-    pause[0] = 0.05
-    assert measure() > -0.01
-
-
 def test_a_board_without_time_has_the_stamps_of_its_reads_themselves(logger):
     """The same objects, however late a read is; and nothing of a clock in /diagnostics."""
     got, options = [], {'logger': logger, 'earlier': lambda *_: pytest.fail('it has no time')}
@@ -326,29 +268,3 @@ def test_a_board_without_time_has_the_stamps_of_its_reads_themselves(logger):
         sensors.connection._receive(mcu.encode(ADC, index), stamp, at)
         assert len(got) == 3 and all(each is stamp for each in got)
     assert not any(key in KEYS for link in (car, sensors) for key, _ in link.report(at).values)
-
-
-@pytest.mark.parametrize('sends_time', [False, True])
-def test_no_board_gets_a_byte_for_its_time(line, logger, running, sends_time):
-    link = running(ArduinoLink(Port(line.path), ArduinoSettings(network_silence=0.0),
-                               logger=logger))
-    until(lambda: link.port.is_open)
-    received = b''
-    for index in range(100):
-        if sends_time:
-            line.write(arduino.encode(arduino.Time(index * 10_000, 1)))
-        line.write(arduino.encode(arduino.Ticks(1)))
-        received += line.read(0.02)
-    until(lambda: link.frames_received == 100 * (1 + sends_time))
-    packets = (received + line.read(1)).split(b'\0')[:-1]
-    assert {packet + b'\0' for packet in packets} == {
-        arduino.encode(arduino.SpeedCommand(0)), arduino.encode(arduino.Heartbeat())}
-
-
-def test_nothing_is_written_to_a_sensor_board_that_sends_its_time(line, logger, running):
-    link = running(McuLink(Port(line.path), logger=logger))
-    until(lambda: link.port.is_open)
-    for seq in range(0, 200, 2):
-        line.write(mcu.encode(mcu.Time(seq * 5_000), seq) + mcu.encode(ADC, seq + 1))
-    until(lambda: link.frames_received == 200)
-    assert line.read_all() == b''

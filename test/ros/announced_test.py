@@ -12,15 +12,14 @@ import rospy
 import rostest
 from std_msgs.msg import Bool, Float32, UInt16
 from std_srvs.srv import SetBool, Trigger
-from tf2_msgs.msg import TFMessage
 
-from boards import (PACKAGE, BoardsTest, Bridge, BusBoard, CarBoard, Diagnostics, Line, Rosout,
-                    SensorBoard, Topic, command_topic, own_folder, service, until)
+from boards import (PACKAGE, Bridge, BusBoard, CarBoard, Diagnostics, Line, Rosout, SensorBoard,
+                    Topic, command_topic, own_folder, service, until)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.announcement import TYPE, chunks_of
-from serial_communication.msg import SerialMsg, Ticks
+from serial_communication.msg import Ticks
 
 NODE = '/' + PACKAGE + '/'
 FORCE = 'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data], scale: 0.01}\n'
@@ -28,9 +27,6 @@ LEVEL = 'level: {type: 33, ros_type: std_msgs/UInt16, layout: "<H", fields: [dat
 GRIPPER = ('gripper: {type: 48, direction: to_board, ros_type: std_msgs/UInt16, layout: "<H", '
            'fields: [data]}\n')
 FIRMWARE = 'firmware: nano_car 1.1.0\n'
-PLACE = ('place: {type: 34, ros_type: nav_msgs/Odometry, layout: "<f", fields: '
-         '[pose.pose.position.x], constants: {pose.pose.orientation.w: 1}, frame_id: start, '
-         'child_frame_id: wheels}\n')
 PUMP = ('pump: {cmd2: 0x40, srv_type: std_srvs/SetBool, '
         'request: {layout: "<?", fields: [data]}}\n')
 TANK = ('tank: {cmd2: 0x41, ros_type: std_msgs/Float32, period: 0.05, '
@@ -169,18 +165,6 @@ class AnnouncedTest(unittest.TestCase):
             status.keys.get('firmware'), status.keys.get('announced')) == (
                 'nano_car 1.1.0', 'force, gripper'), 'they are shown')
 
-    def test_serial_msg_knows_the_chunks_and_then_the_messages(self):
-        traffic = Topic('/serial_msg', SerialMsg)
-        self.addCleanup(traffic.close)
-        traffic.first()     # from now on it records every frame
-        self.announce(FORCE)
-        # A chunk of what an earlier test announced may still be on its way.
-        chunk = traffic.first(lambda message: message.text.startswith('announcement 1/2 (CRC '))
-        self.assertEqual((chunk.type, chunk.error), (TYPE, ''))
-        message = traffic.first(lambda message: message.type == 32 and not message.error,
-                                self.send(32, struct.pack('<h', 50)))
-        self.assertEqual(message.text, 'force data=0.5')
-
     def test_what_changes_is_replaced_and_what_went_is_taken_down_and_nothing_else_notices(self):
         self.announce(FORCE + GRIPPER)
         force, ticks = self.topic('force', Float32), self.topic('ticks', Ticks)
@@ -222,57 +206,6 @@ class AnnouncedTest(unittest.TestCase):
         self.assertEqual(self.reconnects(), reconnects)
         self.diagnostics.wait_for('arduino', lambda status: status.keys['announced'] == '',
                                   'no row')
-
-    def test_a_row_that_went_sends_nothing_more_on_tf(self):
-        """The board is exchanged: the next one means something else by the type, or nothing."""
-        frames, ticks = Topic('/tf', TFMessage, wait=False), self.topic('ticks', Ticks)
-        self.addCleanup(frames.close)
-
-        def places():
-            return [each.transform.translation.x for message in frames.messages
-                    for each in message.transforms if each.child_frame_id == 'wheels']
-
-        def sent(place, number):
-            """Send a place, and then ticks until they arrive."""
-            self.send(34, struct.pack('<f', place))()
-            ticks.first(lambda message: message.value == number,
-                        lambda: self.car.say(arduino.Ticks(number)))
-
-        def appears(place):
-            until(lambda: place in places(), 'the place is on /tf',
-                  doing=self.send(34, struct.pack('<f', place)))
-
-        self.announce(PLACE)
-        appears(0.5)
-        self.announce(LEVEL)
-        sent(1.5, 21)
-        self.announce(PLACE)
-        appears(2.5)
-        self.unplug('arduino')
-        self.lines['arduino'].plug()
-        self.car.forget()
-        self.car.wait_for_heartbeats(1)
-        sent(3.5, 22)
-        chunk = chunks_of(PLACE.encode(), 60)[1]     # any one confirms all
-        until(lambda: 4.5 in places(), 'the place is on /tf again', doing=lambda: (
-            self.car.say(chunk), self.send(34, struct.pack('<f', 4.5))()))
-        self.assertEqual(set(places()), {0.5, 2.5, 4.5})
-
-    def test_after_a_reconnect_commands_wait_until_the_board_announces_them_again(self):
-        self.announce(GRIPPER)
-        gripper = command_topic(NODE + 'gripper', UInt16)
-        self.addCleanup(gripper.unregister)
-        self.unplug('arduino')
-        self.lines['arduino'].plug()
-        self.car.forget()
-        self.car.wait_for_heartbeats(1)
-        self.rosout.wait_for(PACKAGE, 'gripper data=9 refused: the board has not announced it',
-                             doing=lambda: gripper.publish(9))
-        sent = arduino.encode_raw(48, b'\x09\0')
-        self.assertNotIn(sent, [frame.raw for frame in self.car.bad])
-        chunk = chunks_of(GRIPPER.encode(), 60)[1]     # any one confirms all
-        until(lambda: sent in [frame.raw for frame in self.car.bad], 'the command is sent',
-              doing=lambda: (self.car.say(chunk), gripper.publish(9)))
 
     def test_rows_that_may_not_be_are_left_out_with_a_line_each(self):
         row = '{type: %d, ros_type: %s, layout: "<H", fields: [data]}\n'
@@ -372,20 +305,6 @@ class AnnouncedTest(unittest.TestCase):
         self.rosout.forget()
         self.lines['bus'].plug()
         self.rosout.wait_for(PACKAGE, 'bus: announces pump, tank')
-
-
-class SameNameTest(BoardsTest):
-    """A bridge that is named like the topics of its sensor board."""
-
-    def test_an_announced_row_with_a_name_of_the_node_is_left_out_with_one_line(self):
-        sensors = self.plug('mcu', SensorBoard)
-        bridge = self.start_bridge('mcu', {'mcu/port': self.lines['mcu'].near})
-        chunks = chunks_of(LEVEL.replace('level', 'get_loggers').encode() + FORCE.encode(), 60)
-        until(lambda: 'announces force' in bridge.output(), 'the other row is used',
-              doing=lambda: [sensors.say(chunk) for chunk in chunks], every=0.1)
-        self.assertEqual(bridge.output().count(
-            "mcu/announced/get_loggers is 'get_loggers' (str), has the name of ~get_loggers"), 1)
-        self.assertEqual(bridge.end()[1], 0, bridge.output())
 
 
 if __name__ == '__main__':

@@ -223,16 +223,6 @@ class Tuned(ArduinoTest):
     def test_the_heartbeat_has_the_configured_rate(self):
         self.board.wait_for_heartbeat_rate(10, 50, number=40)
 
-    def test_a_speed_timeout_of_0_never_stops_the_motor(self):
-        def goes_on():      # unless this machine stalls
-            self.board.forget()
-            if self.arrives(self.speed, SpeedPWMCommand(value=300)):
-                self.board.wait_for_heartbeats(40)      # a second
-            return self.board.speeds == [300]
-        again_if_stalled(goes_on)
-        until(lambda: self.board.speeds[-1:] == [0], 'it stops when it is told', every=0.1,
-              doing=lambda: self.speed.publish(value=0))
-
 
 if __name__ == '__main__':
     rospy.init_node('arduino_test')

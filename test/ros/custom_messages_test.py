@@ -27,9 +27,8 @@ from std_msgs.msg import (Bool, Float32, Int16MultiArray, String, UInt8MultiArra
 from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 
-from boards import (NOT_SENT, PACKAGE, TIMEOUT, BusBoard, CarBoard, Diagnostics, Rosout,
-                    SensorBoard, Topic, Waiter, again_if_stalled, level_imu, plug, service,
-                    until, until_in_step)
+from boards import (NOT_SENT, PACKAGE, BusBoard, CarBoard, Diagnostics, Rosout, SensorBoard, Topic,
+                    Waiter, again_if_stalled, level_imu, plug, service, until, until_in_step)
 from serial_communication.link.outcome import Verdict
 from serial_communication.msg import SerialMsg
 from serial_communication.framing import announcement, cobs
@@ -189,52 +188,6 @@ class FromTheCar(unittest.TestCase):
         for part in turn.x, turn.y, turn.z, turn.w:
             self.assertAlmostEqual(part, 0.5, 3)
 
-    def test_an_infinite_angle_is_implausible_and_costs_no_connection(self):
-        poses = Topic(OWN + 'heading', PoseStamped)
-        self.addCleanup(poses.close)
-        before = DIAGNOSTICS.wait_for('arduino', lambda s: True, 'a status').keys
-
-        def send():
-            for angle in math.inf, -math.inf, 0.0:
-                CAR.write(packet(215, struct.pack('<f', angle)))
-        poses.first(doing=send)
-        self.assertEqual(poses.messages[0].pose.orientation.w, 1.0)
-        keys = DIAGNOSTICS.wait_for(
-            'arduino', lambda s: int(s.keys['implausible errors'])
-            >= int(before['implausible errors']) + 2, 'they are counted', send).keys
-        self.assertEqual(keys['reconnects'], before['reconnects'])
-
-    def test_invalid_packets_are_counted_and_shown_but_not_published(self):
-        topics = [Topic(OWN + 'force', Float32), Topic(OWN + 'odd', CameraInfo),
-                  Topic(OWN + 'line_sensors', UInt16MultiArray)]
-        frames = Topic('/serial_msg', SerialMsg)
-        for topic in topics + [frames]:
-            self.addCleanup(topic.close)
-        odd = '>hxQ2sdH'
-        wrong = (
-            (32, b'\1\2\3', 'length: force packet with 3 bytes of data where 2 is right'),
-            (32, struct.pack('<h', -1), 'implausible: force: data is -0.01, out of range (0 …'),
-            (34, b'\1', 'length: line_sensors packet with 1 bytes of data where 0'),
-            (34, struct.pack('<2H', 3, 1024), 'implausible: line_sensors: data is 1024, above'),
-            (200, struct.pack(odd, 51, 0, b'', 0.0, 0), 'implausible: odd: height is -2, which'),
-            (200, struct.pack(odd, 0, 0, b'', -1.0, 0), 'implausible: odd: roi.x_offset is -1'),
-            (200, struct.pack(odd, 0, 0, b'', float('nan'), 0), 'implausible: odd: roi.x_off'))
-        for type_, data, said in wrong:
-            frames.first(lambda m, said=said: m.error.startswith(said), what=said,
-                         doing=lambda t=type_, d=data: CAR.write(packet(t, d)))
-        # The next valid message is the first on its topic.
-        for topic, type_, data in ((topics[0], 32, struct.pack('<h', 7)),
-                                   (topics[1], 200, struct.pack(odd, 0, 0, b'', 0.0, 0)),
-                                   (topics[2], 34, b'\5\0')):
-            topic.first(doing=lambda t=type_, d=data: CAR.write(packet(t, d)))
-        self.assertAlmostEqual(topics[0].messages[0].data, 0.07, 5)
-        self.assertEqual(topics[1].messages[0].height, 100)
-        self.assertEqual(topics[2].messages[0].data, (5,))
-        keys = DIAGNOSTICS.wait_for(
-            'arduino', lambda s: int(s.keys['implausible errors']) >= 5
-            and int(s.keys['length errors']) >= 2, 'they are counted').keys
-        self.assertEqual(keys['unknown type errors'], '0')
-
     def test_texts_of_serial_msg_have_the_name_and_the_values(self):
         frames = Topic('/serial_msg', SerialMsg)
         self.addCleanup(frames.close)
@@ -316,14 +269,6 @@ class ToTheCar(unittest.TestCase):
         self.sends(say, String('after'), packet(202, b'after'))
         sent = [frame for frame in CAR.unknown if frame[1:2] == b'\xca']
         self.assertNotIn(packet(202, b'a\0b'), sent)
-
-    def test_custom_commands_follow_the_rules_of_commands(self):
-        topic = rospy.Publisher('/closed/gripper', Vector3, queue_size=10)
-        self.addCleanup(topic.unregister)
-        # After a stall, a line that says so comes first.
-        until(lambda: any('closed' in line for line in ROSOUT.lines(
-            'closed', 'gripper x=1 z=0.2 refused: ')), 'it is refused', every=0.05,
-              doing=lambda: topic.publish(Vector3(1, 0, 0.2)))
 
 
 class FromTheSensors(unittest.TestCase):
@@ -421,22 +366,6 @@ class Functions(unittest.TestCase):
         self.assertIn('distance is 10, above the maximum of 9', answer.message)
         self.assertEqual(len(self.asked(0x35)), before)
 
-    def test_only_a_repeatable_request_is_sent_twice(self):
-        answer = self.unanswered(1, 0x35, 'gentle', Lift, 0, 1)
-        self.assertEqual((answer.success, answer.status), (False, TIMEOUT))
-        self.assertFalse(self.unanswered(3, 0x36, 'reading', Trigger).success)
-
-    def test_a_reply_with_a_value_out_of_range_is_an_error(self):
-        BOARD.answers[0x36] = bus.Reply(bus.OK, b'ok\5')
-        answer = self.call('reading', Trigger)
-        self.assertEqual((answer.success, answer.message), (True, 'ok'))
-        BOARD.answers[0x36] = bus.Reply(bus.OK, b'ok\6')
-        answer = self.call('reading', Trigger)
-        self.assertFalse(answer.success)
-        self.assertIn('6, above the maximum of 5', answer.message)
-        DIAGNOSTICS.wait_for('bus', lambda s: int(s.keys['implausible errors']) >= 1,
-                             'it is counted')
-
     def test_a_response_may_have_nested_fields(self):
         BOARD.answers[0x33] = bus.Reply(bus.OK, struct.pack('<HhH', 7, -1250, 5000))
         answer = self.call('raw_environment', GetEnvironment)
@@ -478,25 +407,6 @@ class Functions(unittest.TestCase):
         answer = self.call('pump', SetBool, True)
         self.assertEqual(read_response(answer), (
             Verdict.REFUSED, 'the board refused: 0x8002: the operation failed'))
-
-    def test_callers_read_the_status_if_there_is_one(self):
-        for reply, verdict in ((bus.Reply(bus.OK, b'\0'), Verdict.DONE),
-                               (bus.Reply(bus.OK, b'\0\0'), Verdict.NOT_KNOWN),
-                               (bus.Reply(bus.ERROR, b'\2\x80'), Verdict.REFUSED),
-                               (None, Verdict.NOT_KNOWN)):
-            BOARD.answers[0x35] = reply
-            answer = self.call('gentle', Lift, 0, 1) if reply else \
-                self.unanswered(1, 0x35, 'gentle', Lift, 0, 1)
-            read, words = read_response(answer)
-            self.assertIs(read, verdict)
-            self.assertIn(answer.message, words)
-            self.assertEqual('before you repeat it' in words, verdict is Verdict.NOT_KNOWN)
-
-    def test_a_function_is_not_sent_to_a_closed_port(self):
-        answer = service('/closed/pump', SetBool)(True)
-        self.assertFalse(answer.success)
-        self.assertIn('nothing was sent', answer.message)
-        self.assertIs(read_response(answer)[0], Verdict.REFUSED)
 
     def test_replies_of_polled_functions_are_published(self):
         BOARD.answers[0x32] = bus.Reply(bus.OK, struct.pack('<H', 10132))
@@ -631,15 +541,6 @@ class Mistakes(unittest.TestCase):
         check({'arduino': {'messages': {'pose': dict(odometry, layout='<hh', fields=[
             yaw, yaw.replace('yaw', 'pitch')], constants={'pose.covariance': [0.5] * 36})}}},
             '/node')
-
-    def test_values_that_overlap_in_the_message_are_refused(self):
-        for layout, fields in (('<hh*', ['position[2]', 'position']),
-                               ('<hh', ['position[0]', 'position[00]'])):
-            self.assert_mistake('arduino/messages', 'arm', dict(
-                FORCE, ros_type='sensor_msgs/JointState', layout=layout, fields=fields), '/fields')
-        check({'arduino': {'messages': {'arm': dict(
-            FORCE, ros_type='sensor_msgs/JointState', layout='<hhh*',
-            fields=['position[0]', 'position[2]', 'velocity'])}}}, '/node')
 
     def test_a_type_in_a_package_that_cannot_be_imported_is_refused(self):
         for body in 'raise SystemExit(3)', 'import serial_communication.nothing', '1 / 0', '1 +':

@@ -36,11 +36,6 @@ class Program:
         """Its output so far."""
         return self._output.text()
 
-    def end(self):
-        """Send Ctrl-C; return its exit status."""
-        self.process.send_signal(signal.SIGINT)
-        return self.process.wait(PATIENCE)
-
     def close(self):
         """Kill it, in case the test failed."""
         self.process.kill()
@@ -103,23 +98,6 @@ class ExternalBoard(unittest.TestCase):
         self.assertEqual((shown.link, shown.text, bytes(shown.frame), shown.error),
                          ('wind', 'wind from 90 degrees, 12.5 m/s', GUST, ''))
 
-    def test_errors_are_counted_and_no_valid_sentence_is_lost(self):
-        def errors(status):
-            return int(status.keys['checksum errors'])
-
-        def reads_all_but_one():
-            before = self.diagnostics.fresh('wind', lambda s: True, 'any status')
-            self.wind.forget()
-            self.say(b'$WIMWV,0' + GUST + GUST.replace(b'0', b'1', 1) + GUST)
-
-            def is_stale(status):       # this machine stalled the bridge
-                return status.keys['stale'] != before.keys['stale']
-            status = self.diagnostics.fresh(
-                'wind', lambda s: is_stale(s) or len(self.wind.messages) >= 2
-                and errors(s) == errors(before) + 1, 'both valid sentences and one more error')
-            return not is_stale(status) and len(self.wind.messages) == 2
-        again_if_stalled(reads_all_but_one)
-
     def test_its_port_may_vanish_and_return_and_its_parameters_are_as_given(self):
         self.line.unplug()
         self.diagnostics.fresh('wind', lambda s: s.level == ERROR, 'the port has gone')
@@ -150,14 +128,6 @@ class ExternalBoard(unittest.TestCase):
         status, output = self.run_program('wire', 'explain', 'wind_sensor', GUST.hex()[:-8])
         self.assertEqual(status, 1)
         self.assertIn('incomplete', output)
-
-    def test_its_line_is_listened_to(self):
-        line = Line(os.path.join(self.folder, 'listened')).plug()
-        self.addCleanup(line.unplug)
-        listener = self.start('wire', 'listen', 'wind', line.near, '--config', self.config)
-        until(lambda: TEXT in listener.output(), 'a sentence is shown',
-              doing=lambda: self.say(GUST, line), every=0.1)
-        self.assertEqual(listener.end(), 0)
 
 
 if __name__ == '__main__':

@@ -7,7 +7,7 @@ import subprocess
 import rosgraph
 import rostest
 
-from boards import PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, BusBoard, CarBoard, until
+from boards import PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, CarBoard, until
 from serial_communication.framing.announcement import chunks_of
 
 NAME = '/' + PACKAGE
@@ -96,21 +96,6 @@ class MasterTest(BoardsTest):
         until(self.is_up, 'the bridge is back', WITHIN)
         refused = self.call('calibrate_imu', '{}').communicate(timeout=PATIENCE)[0]
         self.assertIn('stopped: call ~stop with data: false', refused)
-
-    def test_a_call_that_is_outstanding_is_answered_before_the_bridge_starts_again(self):
-        bus = self.plug('bus', BusBoard)
-        self.start(bus__port=self.lines['bus'].near, bus__motion_timeout=30.0,
-                   bus__environment_period=0.0)
-        bus.script.append(b'')
-        call = self.call('lift', '{direction: 0, distance: 1}')
-        until(bus.moves, 'the lift moves')
-        self.replace_master()
-        self.bridge.wait_for('is a new ROS master')
-        self.assertFalse(self.is_up())
-        bus.say(bus.usual(bus.moves()[0]))
-        self.assertIn('success: True', call.communicate(timeout=PATIENCE)[0])
-        until(self.is_up, 'the bridge is back', WITHIN)
-        self.assertEqual(len(bus.moves()), 1)
 
 
 if __name__ == '__main__':

@@ -1,6 +1,5 @@
 #!/usr/bin/python3
 """The mcu link: each frame's topics with their exact values, and the status of a silent board."""
-import time
 import unittest
 from math import inf, isinf, isnan, nan, pi, sqrt
 
@@ -8,8 +7,7 @@ import rospy
 import rostest
 from sensor_msgs.msg import Imu, Range
 
-from boards import (PACKAGE, Diagnostics, Rosout, SensorBoard, Topic, plug, ranges, stamped,
-                    until, values_of)
+from boards import PACKAGE, SensorBoard, Topic, plug, ranges, stamped, until, values_of
 from serial_communication.msg import McuStatus, McuStatus2
 from serial_communication.boards.mcu import wire as mcu
 
@@ -73,14 +71,6 @@ class Frames(McuTest):
         self.assertTrue(stamped(status.stamp, since))
         self.assertTrue(0.0 <= status.last_frame_age_sec < 1.0)
 
-    def test_values_that_are_missing_and_back_are_logged(self):
-        rosout = Rosout()
-        self.addCleanup(rosout.close)
-
-        for first, said in ((0xFFFF, 'mcu: no value of range 1: the board starts such a sensor'),
-                            (700, 'mcu: all sensors have values again')):
-            rosout.wait_for(PACKAGE, said, doing=lambda first=first: self.board.say(ranges(first)))
-
     def test_unknown_angles_are_nan_and_no_imu_message(self):
         unknown = mcu.SensorStatus(123, 200, nan, nan, nan)
         status = self.first('status', McuStatus2, unknown, lambda m: m.vl53_1 == 123)
@@ -101,33 +91,6 @@ class Frames(McuTest):
                          (0, 0, 15, 0, 543, 144))
         self.assertTrue(stamped(status.stamp, since))
         self.assertTrue(0.0 <= status.last_frame_age_sec < 1.0)
-
-    def test_all_topics_of_a_frame_that_waited_have_the_stamp_of_its_measurement(self):
-        topics = [self.topic(*each) for each in (
-            ('status', McuStatus2), ('imu', Imu), ('range_1', Range), ('range_2', Range))]
-        diagnostics = Diagnostics()
-        for each in (*topics, diagnostics):
-            self.addCleanup(each.close)
-
-        def say(measured, range_1=300):
-            self.board.say(mcu.Time(round(measured * 1e6) % 2 ** 32))
-            self.board.say(ranges(range_1))
-
-        keys = diagnostics.wait_for('mcu', lambda status: status.keys.get(
-            'read delay p50 [ms]', '-') != '-', 'a known delay',
-            doing=lambda: say(time.monotonic())).keys
-        self.assertEqual(keys['clock errors'], '0')
-        self.assertLessEqual(float(keys['read delay p50 [ms]']),
-                             float(keys['read delay max [ms]']))
-        began, measured = rospy.Time.now(), time.monotonic()
-        time.sleep(0.5)
-        sent = rospy.Time.now()
-        say(measured, 777)
-        status = topics[0].first(lambda m: m.vl53_1 == 777)
-        for topic in topics[1:]:
-            topic.first(lambda m: m.header.stamp == status.stamp)
-        self.assertLess((status.stamp - sent).to_sec(), -0.25)
-        self.assertGreater((status.stamp - began).to_sec(), -0.05)
 
     def test_the_orientation_turns_counter_clockwise(self):
         for angles, expected in (

@@ -3,8 +3,6 @@
 says so, data flows again, and nothing old is sent."""
 import os
 import shutil
-import signal
-import time
 import unittest
 
 import rospy
@@ -12,12 +10,11 @@ import rostest
 from std_srvs.srv import Trigger
 
 from boards import (ERROR, NOT_SENT, OK, PACKAGE, SYNC_FRAME, Bridge, BusBoard, CarBoard,
-                    Diagnostics, Line, SensorBoard, Topic, Waiter, again_if_stalled, level_imu,
-                    own_folder, ranges, service, until)
+                    Diagnostics, Line, SensorBoard, Topic, level_imu, own_folder, ranges, service,
+                    until)
 from serial_communication.msg import McuStatus2, SerialMsg, Voltage
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.bus import wire as bus
-from serial_communication.srv import BusRequest, GetEnvironment, Gimbal, Lift
+from serial_communication.srv import Lift
 
 LINKS = 'bus', 'arduino', 'mcu'
 
@@ -136,25 +133,6 @@ class AbsentAtStart(PortsTest):
         self.assertEqual(set.union(*names), {f'{self.name}: {link} link' for link in LINKS})
 
 
-class NoPort(PortsTest):
-    """A directory stands where a port should be."""
-
-    name = 'no_port'
-
-    @classmethod
-    def parameters(cls):
-        return {'bus/port': cls.folder}
-
-    def test_a_directory_for_a_port_is_told_and_hurts_no_other_link(self):
-        self.plug('arduino', 'mcu')
-        line = self.bridge.wait_for('bus: %s: this is a directory' % self.folder)
-        self.assertIn('WARN', line)
-        answer = self.lift(0, 1)
-        self.assertEqual((answer.success, answer.status), (False, NOT_SENT))
-        self.assertIn('directory', answer.message)
-        self.assert_flows('arduino', 'mcu')
-
-
 class Cut(PortsTest):
     """Lines that are cut, mended, and disturbed."""
 
@@ -180,61 +158,6 @@ class Cut(PortsTest):
         self.plug('mcu')
         self.assertEqual(dict(before, mcu='connection %d' % (int(before['mcu'].split()[1]) + 1)),
                          {link: connection(link) for link in LINKS})
-
-    def test_a_name_that_comes_back_as_another_device_is_found(self):
-        spares = {}
-        for link, line in self.lines.items():
-            spares[link] = Line(line.near + '_spare').plug()
-            self.assertNotEqual(os.readlink(spares[link].near), os.readlink(line.near))
-        self.unplug()
-        try:
-            for link, line in self.lines.items():
-                os.symlink(os.readlink(spares[link].far), line.far)
-                os.symlink(os.readlink(spares[link].near), line.near)
-            self.wait_for_boards()
-            self.assert_flows()
-        finally:
-            for link, line in self.lines.items():
-                spares[link].unplug()
-                os.unlink(line.near)
-                os.unlink(line.far)
-
-    def test_what_moves_is_not_sent_if_it_was_called_while_the_bridge_stood_still(self):
-        """SIGSTOP; the calls wait in connections that exist already."""
-        proxies = {'lift': rospy.ServiceProxy('/cut/lift', Lift, persistent=True),
-                   'gimbal': rospy.ServiceProxy('/cut/gimbal', Gimbal, persistent=True),
-                   'request': rospy.ServiceProxy('/cut/bus/request', BusRequest, persistent=True),
-                   'reading': rospy.ServiceProxy('/cut/get_environment', GetEnvironment,
-                                                 persistent=True)}
-        arguments = {'lift': (0, 100), 'gimbal': (1, 30), 'request': (0x55, 0x30, b''),
-                     'reading': ()}
-        for name, proxy in proxies.items():
-            self.addCleanup(proxy.close)
-            until(lambda n=name, p=proxy: p(*arguments[n]).success, name)
-        board, process = self.boards['bus'], self.bridge.process
-
-        def only_the_reading_succeeds():
-            until(lambda: proxies['lift'](0, 100).success, 'the lift moves')
-            board.forget()
-            process.send_signal(signal.SIGSTOP)
-            os.waitpid(process.pid, os.WUNTRACED)
-            sent = {name: proxy.transport.stat_bytes for name, proxy in proxies.items()}
-            waiters = {name: Waiter(proxy, *arguments[name]) for name, proxy in proxies.items()}
-            until(lambda: all(proxy.transport.stat_bytes > sent[name]
-                              for name, proxy in proxies.items()), 'the calls are under way')
-            stopped = time.monotonic()
-            until(lambda: time.monotonic() > stopped + 1.0, 'a stall')
-            process.send_signal(signal.SIGCONT)
-            answers = {name: waiter.result() for name, waiter in waiters.items()}
-            reading = answers.pop('reading')
-            for name, answer in answers.items():
-                self.assertEqual((answer.success, answer.status), (False, NOT_SENT), name)
-                self.assertEqual(answer.message,
-                                 'it may have waited while the bridge stalled; nothing was sent')
-            self.assertLessEqual(set(board.others), {bus.encode_request(bus.ENVIRONMENT_REQUEST)})
-            return reading.success      # not if the board is late to answer the ECHO before it
-        again_if_stalled(only_the_reading_succeeds)
-        until(lambda: proxies['lift'](0, 100).success, 'the lift moves again')
 
 
 if __name__ == '__main__':

@@ -93,13 +93,6 @@ class WhileOneRuns(unittest.TestCase):
             self.car.forget()
             self.car.wait_for_heartbeats(10)
 
-    def test_another_node_at_a_dead_bridges_address_does_not_prevent_a_start(self):
-        mine = rospy.get_node_uri()
-        rosgraph.Master('/ghost').registerPublisher('/ghost/topic', 'std_msgs/Empty', mine)
-        ghost = Bridge('ghost')
-        self.started.append(ghost)
-        until(lambda: self.master.lookupNode('/ghost') != mine, 'the new one has the name')
-
 
 class WithoutAMaster(unittest.TestCase):
     """A bridge without a master."""

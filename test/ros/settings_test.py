@@ -12,10 +12,9 @@ from unittest import mock
 import dynamic_reconfigure.client
 import rospy
 import rostest
-import yaml
 
-from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Master, Rosout,
-                    again_if_stalled, own_folder, program, until)
+from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Master, Rosout, again_if_stalled,
+                    own_folder, until)
 from serial_communication.boards.arduino import settings as read_settings
 from serial_communication.boards.arduino import wire
 from serial_communication.framing.announcement import chunks_of
@@ -152,31 +151,6 @@ class SettingsTest(unittest.TestCase):
         self.assertFalse(rospy.has_param(NAME + '/rate'))
         self.assertNotIn(4, [number for number, _ in self.car.settings()])
 
-    def test_a_deaf_board_is_named_until_it_confirms(self):
-        self.car.hears = False
-        self.assertEqual(self.client.update_configuration({'ramp': 300}).ramp, 300)
-        self.rosout.wait_for(PACKAGE, 'ramp = 300 is not confirmed')
-        self.diagnostics.wait_for('arduino', lambda status: status.keys[
-            'settings unconfirmed'] == 'ramp=300', 'the unconfirmed one is named')
-        self.car.hears = True
-        until(lambda: self.car.values[2] == 300, 'it is sent again')
-        self.diagnostics.wait_for('arduino', lambda status: status.keys[
-            'settings unconfirmed'] == '', 'it is confirmed')
-        self.assertEqual(self.client.update_configuration({'ramp': 250}).ramp, 250)
-
-    def test_a_board_that_starts_again_gets_its_values_back(self):
-        self.client.update_configuration({'kp': 3.5})
-        self.diagnostics.fresh('arduino', lambda status: status.keys[
-            'settings unconfirmed'] == '', 'it is confirmed')
-        self.car.start_again()
-        until(lambda: (self.car.values[1], self.car.values[2]) == (3.5, 250), 'both are back',
-              every=0.1, doing=lambda: (self.car.report(3), self.car.report(1)))
-
-    def test_a_change_by_the_board_is_shown_where_nothing_is_wanted(self):
-        self.car.values[4] = 9
-        self.until_published(lambda values: values.rate == 9, 4)
-        self.assertNotIn(4, [number for number, _ in self.car.settings()])
-
     def test_dynparam(self):
         def dynparam(*arguments):
             return subprocess.check_output(['rosrun', 'dynamic_reconfigure', 'dynparam',
@@ -228,7 +202,7 @@ class ServerTest(unittest.TestCase):
         """As a node starts."""
         self.kinds, self.log = [], mock.Mock()
         self.settings = BoardSettings(SparingLog('arduino', self.log), self.kinds.append,
-                                      lambda: None)
+                                      lambda: None, lambda: 0.0)
         self.added = [self.settings.add(row) for row in read_settings(rows)]
         link = SimpleNamespace(name='arduino', board_settings=self.settings, log=self.log)
         serve([link], rospy.get_param('~', {}),
@@ -321,28 +295,6 @@ class OtherBridges(unittest.TestCase):
         until(lambda: master.server.hasParam('/other/settings/arduino/kp'), 'it is set again')
         self.assertEqual(master.server.getParam('/other/settings/arduino/kp'), 2.0)
         self.assertEqual(answer(3.0), 3.0)
-
-    def test_a_simulated_board_announces_its_settings_and_gets_them_back_after_a_reset(self):
-        line = Line(os.path.join(self.folder, 'car')).plug()
-        self.addCleanup(line.unplug)
-        config = os.path.join(self.folder, 'rows.yaml')
-        with open(config, 'w') as file:
-            yaml.safe_dump({'arduino': {'settings': ROWS}}, file)
-        simulator = subprocess.Popen(
-            [program('simulator'), 'arduino', '--port', line.far, '--config', config, '--announce',
-             '--fault', 'reset=20/min'],
-            stdout=subprocess.DEVNULL)
-        self.addCleanup(simulator.wait)
-        self.addCleanup(simulator.kill)
-        self.bridge({'arduino/port': line.near})
-        client = dynamic_reconfigure.client.Client('/other/settings/arduino', timeout=60)
-        self.addCleanup(client.close)
-        self.assertEqual(client.update_configuration({'kp': 7.5}).kp, 7.5)
-        diagnostics = Diagnostics('other')
-        self.addCleanup(diagnostics.close)
-        for _ in range(3):
-            diagnostics.fresh('arduino', lambda status: 'kp=7.5' in status.keys['settings']
-                              and not status.keys['settings unconfirmed'], 'kp is in use')
 
 
 if __name__ == '__main__':

@@ -17,7 +17,7 @@ from tf2_msgs.msg import TFMessage
 from boards import (PACKAGE, TIMEOUT, BusBoard, CarBoard, Rosout, SensorBoard, Topic,
                     again_if_stalled, command_topic, level_imu, plug, ranges, service, settle,
                     until)
-from serial_communication.msg import (Environment, McuStatus2, SpeedPWMCommand, SteeringFeedback,
+from serial_communication.msg import (McuStatus2, SpeedPWMCommand, SteeringFeedback,
                                       Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
@@ -70,20 +70,10 @@ class SimulatedTime(unittest.TestCase):
         again_if_stalled(times_out)
         until(lambda: service('/serial_communication/bus/echo', Trigger)().success, 'an echo')
 
-    def test_readings_of_the_air_are_polled_and_published(self):
-        topic = Topic('/serial_communication/environment', Environment)
-        until(lambda: len(topic.messages) >= 3, 'three readings')
-
     def test_measurements_are_published_with_a_stamp_of_0(self):
         topic = Topic('/serial_communication/imu', Imu)
         message = topic.first(doing=lambda: CAR.say(level_imu()))
         self.assertEqual(message.header.stamp, rospy.Time(0))
-
-    def test_a_silent_mcu_board_is_reported(self):
-        topic = Topic('/mcu/status', McuStatus2)
-        topic.first(lambda m: m.connected, doing=lambda: SENSORS.say(ranges()))
-        topic.forget()
-        until(lambda: sum(not m.connected for m in list(topic.messages)) >= 2, 'two reports')
 
     def test_diagnostics_are_published(self):
         topic = Topic('/diagnostics', DiagnosticArray)

@@ -70,10 +70,10 @@ def test_help_prints_the_usage(name, option, tmp_path):
         assert max(map(len, done.stdout.splitlines())) <= 100
 
 
-@pytest.mark.parametrize('name', ['avr_board', 'bench', 'demo', 'pictures', 'soak', 'test'])
+@pytest.mark.parametrize('name', ['avr_board', 'bench', 'demo', 'pictures', 'test'])
 def test_help_installs_and_builds_nothing_and_touches_no_ros(name, tmp_path):
     checkout = tmp_path / 'checkout'
-    for folder in 'scripts', 'test/bench', 'test/campaign', 'test/helpers', 'firmware':
+    for folder in 'scripts', 'test/bench', 'test/helpers', 'firmware':
         shutil.copytree(str(SCRIPTS.parent / folder), str(checkout / folder))
     missing = 'psutil', 'tabulate', 'tqdm', 'yaml', 'rosgraph', 'rospy', 'serial_communication'
     for module in missing:      # as if nothing of it were installed

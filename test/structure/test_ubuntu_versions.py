@@ -16,9 +16,9 @@ from sources import ROOT
 VERSIONS = {'pyserial': '3.4', 'pytest': '4.6.9', 'hypothesis': '4.36.2'}
 # Tests without a ROS node: all of COLLECTED are collected, and RUN, which uses these packages and
 # takes less time, runs.
-COLLECTED = ('boards', 'framing', 'link', 'simulation', 'tools', 'transport')
+COLLECTED = ('boards', 'framing', 'kernel', 'link', 'sim', 'simulation', 'tools', 'transport')
 RUN = [f'test/{each}' for each in (
-    'transport/test_port.py', 'transport/test_urls.py', 'boards/test_stream_decoders.py',
+    'kernel/test_port.py', 'transport/test_urls.py', 'boards/test_stream_decoders.py',
     'framing/test_custom_messages.py')]
 pytestmark = pytest.mark.slow
 _LONGEST = 600      # s; only a test that hangs takes so long

@@ -1,8 +1,8 @@
 """URLs of ports are checked before a port is opened."""
-
 import pytest
 
-from serial_communication.transport.urls import check_url
+from serial_communication.transport.port import Port
+from serial_communication.transport.urls import check_url, read_url
 
 
 @pytest.mark.parametrize('url', [
@@ -22,3 +22,12 @@ def test_an_invalid_url_is_refused(url):
                                  'hwgrep://0403:6001', 'spy:///dev/ttyS0'])
 def test_a_valid_url_is_accepted(url):
     check_url(url)
+
+
+@pytest.mark.parametrize('url, lower, scheme', [
+    ('SOCKET://Host:1', 'socket://Host:1', 'socket'), ('Rfc2217://h:1', 'rfc2217://h:1', 'rfc2217'),
+    ('Hwgrep://0403:6001', 'hwgrep://0403:6001', 'hwgrep'), ('LOOP://', 'loop://', 'loop'),
+    ('/dev/ttyUSB0', '/dev/ttyUSB0', ''), ('/tmp/SOCKET:x', '/tmp/SOCKET:x', '')])
+def test_a_scheme_is_the_same_in_any_case(url, lower, scheme):
+    assert read_url(url) == (lower, scheme)
+    assert Port(url).is_network == (scheme in ('socket', 'rfc2217'))

@@ -3,8 +3,6 @@ from unittest import mock
 
 import pytest
 
-from serial_communication.boards.arduino import link as link_module
-from serial_communication.boards.arduino import output as output_module
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.framing.layout import Value, message_class
@@ -62,12 +60,11 @@ class Uart(Port):
 
 
 @pytest.fixture
-def start(monkeypatch, logger):
+def start(logger):
     def start_link(**options):
         port = Uart(**options)
-        for module in (output_module, link_module):
-            monkeypatch.setattr(module, 'clock', lambda: port.now)
-        link = ArduinoLink(port, ArduinoSettings(speed_timeout=0.0), logger=logger)
+        link = ArduinoLink(port, ArduinoSettings(speed_timeout=0.0), logger=logger,
+                           now=lambda: port.now)
         link.log.warn = mock.Mock()
         link.output.motor.awake(port.now)
         return link
@@ -184,7 +181,6 @@ def test_a_port_that_was_away_takes_all_commands_when_it_is_open_again(start):
     assert link.port.dropped == []
 
 
-@pytest.mark.stalls
 def test_after_a_stall_no_heartbeat_precedes_speed_0(start, monkeypatch):
     """The bridge stalls as a command is about to be written, and the line is busy."""
     link = start()
@@ -192,7 +188,7 @@ def test_after_a_stall_no_heartbeat_precedes_speed_0(start, monkeypatch):
     for size in 250, 27:        # so that a heartbeat would precede the next
         link.command(STRIP([7] * size))
     now = link.port.now
-    monkeypatch.setattr(output_module, 'clock', lambda: link.port.now + 2.0)
+    monkeypatch.setattr(link.output, '_now', lambda: link.port.now + 2.0)
     with pytest.raises(Refused):
         link.output._send(arduino.SpeedCommand(1), now)
     run(link, 0.1)

@@ -1,24 +1,17 @@
-"""The thread that sends heartbeats: it cannot be ended by a fault, and it reports gaps."""
+"""The thread that sends heartbeats: it reports gaps."""
 import pytest
-from fake_boards import until
 
-from serial_communication.boards.arduino import heartbeat as heartbeat_module
 from serial_communication.boards.arduino.heartbeat import HeartbeatThread
 
 
-def make(work=lambda due: due, on_fault=None):
-    return HeartbeatThread('heartbeat', 100.0, work, on_fault or (lambda text: None))
+def make():
+    return HeartbeatThread('heartbeat', 100.0, lambda due: due, lambda text: None, lambda: 100.0)
 
 
-def test_a_failed_sleep_does_not_end_the_thread(monkeypatch):
-    """time.sleep raises ValueError for a negative argument."""
+def test_a_fault_is_reported_and_the_next_step_is_due():
     faults = []
-    thread = make(on_fault=faults.append)
-    monkeypatch.setattr(heartbeat_module, '_LONGEST_SLEEP', -1.0)
-    thread.start()
-    until(lambda: faults and thread.sent > 3)
-    thread.stop(1.0)
-    assert 'must be non-negative' in faults[0]
+    thread = HeartbeatThread('heartbeat', 100.0, lambda due: 1 / 0, faults.append, lambda: 100.0)
+    assert thread.step() == pytest.approx(100.01) and 'ZeroDivisionError' in faults[0]
 
 
 # -- gaps between heartbeats ----------------------------------------------------------------------

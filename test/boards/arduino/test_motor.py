@@ -3,8 +3,6 @@ import pytest
 
 from serial_communication.boards.arduino.motor import Motor, Stop
 
-pytestmark = pytest.mark.stalls
-
 
 @pytest.fixture
 def motor():

@@ -583,6 +583,14 @@ def test_without_echo_a_move_waits_for_a_silence_since_the_last_byte(without_ech
     assert session.master.step(session.now) == (None, pytest.approx(session.now + FENCE_SILENCE))
 
 
+def test_without_echo_any_byte_ends_the_silence(without_echo):
+    session = without_echo
+    session.play('+0.021; call air; > air; < AIR; +0.1')
+    session.master.bytes_came(session.now)      # of what is no frame, and may go on
+    session.call('lift')
+    assert session.master.step(session.now) == (None, pytest.approx(session.now + FENCE_SILENCE))
+
+
 # -- rule 5: data in an OK ------------------------------------------------------------------------
 
 @pytest.mark.parametrize('name', ['lift', 'gimbal', 'custom'])

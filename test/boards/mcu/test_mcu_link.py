@@ -1,10 +1,9 @@
-"""The link to the sensor board over a real tty: lost frames and silence."""
-import time
+"""The link to the sensor board: lost frames and silence."""
 from contextlib import nullcontext
 
 import pytest
 
-from fake_boards import until
+from steps import Steps
 from serial_communication.framing.layout import Value, message_class
 from serial_communication.link.link import ERROR, OK
 from serial_communication.boards.mcu.link import McuLink
@@ -22,48 +21,48 @@ ADC = mcu.AdcStatus(1, 2, 3, 4, 5, 6)
 class Watched:
     """A link and what it reports."""
 
-    def __init__(self, link_arguments):
+    def __init__(self, logger, **options):
         self.got = []
         self.silences = []
-        self.link = McuLink(on_status=lambda *status: self.got.append(status),
-                            on_silence=self._silent, **link_arguments)
+        self.steps = Steps(McuLink, on_status=lambda *status: self.got.append(status),
+                           on_silence=lambda *silence: self.silences.append(silence),
+                           logger=logger, **options)
+        self.link = self.steps.link
 
-    def _silent(self, kind, seq, age):
-        self.silences.append((kind, seq, age))
+    def give(self, data):
+        self.steps.give(data)
 
     def seqs(self):
         return [seq for _, seq, _ in self.got]
 
 
 @pytest.fixture
-def watch(line, logger, running):
-    def start(timeout=20.0, **arguments):
-        watched = Watched(dict(port=Port(line.path), timeout=timeout, logger=logger, **arguments))
-        running(watched.link)
-        until(lambda: watched.link.port.is_open)
+def watch(logger):
+    def start(timeout=20.0, **options):
+        watched = Watched(logger, timeout=timeout, **options)
+        watched.steps.run(0.1)
         return watched
     return start
 
 
-def test_frames_are_passed_on_with_seq_and_stamp(line, watch):
+def test_frames_are_passed_on_with_seq_and_stamp(watch):
     watched = watch(clock=lambda: 'stamp')
-    line.write(status(7) + mcu.encode(ADC, 8))
-    until(lambda: len(watched.got) == 2)
+    watched.give(status(7) + mcu.encode(ADC, 8))
     assert watched.got == [(mcu.SensorStatus(107, 200, 1.0, 2.0, 3.0), 7, 'stamp'),
                            (ADC, 8, 'stamp')]
     assert watched.link.frames_lost == 0 and not watched.link.silent
-    assert watched.link.report(time.monotonic())[:2] == (OK, 'open')
+    assert watched.link.report(watched.steps.port.time)[:2] == (OK, 'open')
 
 
-def test_a_status_counts_only_the_checksum_errors_before_its_frame(line, watch):
+def test_a_status_counts_only_the_checksum_errors_before_its_frame(watch):
     watched = watch()
     counted = []
     watched.link._on_status = lambda message, seq, stamp: counted.append(
         (seq, watched.link.checksum_errors))
     bad = bytearray(status(2))
     bad[-2] ^= 0xFF
-    line.write(status(1) + bytes(bad) + status(3) + bytes(bad) + status(4))     # in one read
-    until(lambda: len(counted) == 3)
+    watched.give(status(1) + bytes(bad) + status(3) + bytes(bad) + status(4))     # in one read
+    watched.steps.run(0.2)      # a false start is given up
     assert counted == [(1, 0), (3, 1), (4, 2)]
     assert watched.link.decoder.errors['checksum'] == 2
 
@@ -71,42 +70,38 @@ def test_a_status_counts_only_the_checksum_errors_before_its_frame(line, watch):
 @pytest.mark.parametrize('seqs, lost', [
     ((1, 2, 3), 0), ((1, 3), 1), ((1, 11, 12), 9), ((254, 255, 0, 1), 0), ((250, 4), 9),
     ((255, 1), 1), ((200, 0), 55), ((9,), 0)])
-def test_lost_frames_are_counted_over_the_modulo(line, watch, seqs, lost):
+def test_lost_frames_are_counted_over_the_modulo(watch, seqs, lost):
     watched = watch()
-    line.write(b''.join(map(status, seqs)))
-    until(lambda: len(watched.got) == len(seqs))
+    watched.give(b''.join(map(status, seqs)))
     assert watched.seqs() == list(seqs) and watched.link.frames_lost == lost
     assert dict(watched.link.extra_values())['frames lost'] == lost
 
 
-def test_a_doubled_frame_is_passed_on_once(line, watch):
+def test_a_doubled_frame_is_passed_on_once(watch):
     watched = watch()
-    line.write(status(1) + status(2) * 3 + status(3))
-    until(lambda: 3 in watched.seqs())
+    watched.give(status(1) + status(2) * 3 + status(3))
     assert watched.seqs() == [1, 2, 3]
     assert (watched.link.duplicates, watched.link.frames_lost) == (2, 0)
 
 
-def test_the_seq_of_an_unknown_type_counts_but_its_frame_is_not_passed_on(line, watch):
+def test_the_seq_of_an_unknown_type_counts_but_its_frame_is_not_passed_on(watch):
     watched = watch()
-    line.write(status(1) + mcu.encode_raw(0x77, 2, b'?') + status(3))
-    until(lambda: len(watched.got) == 2)
+    watched.give(status(1) + mcu.encode_raw(0x77, 2, b'?') + status(3))
     assert watched.seqs() == [1, 3] and watched.link.frames_lost == 0
     assert watched.link.decoder.errors['unknown type'] == 1
 
 
-def test_the_seq_of_a_frame_that_is_refused_counts(line, watch):
+def test_the_seq_of_a_frame_that_is_refused_counts(watch):
     load = message_class('Load', 0x40, '<B', [Value('load', maximum=9)])
     watched = watch(messages=[load])
-    line.write(status(1) + mcu.encode_raw(0x40, 2, b'\x0a') + status(3)
-               + mcu.encode_raw(0x40, 4, b'too long') + status(5) + status(7))
-    until(lambda: len(watched.got) == 4)
+    watched.give(status(1) + mcu.encode_raw(0x40, 2, b'\x0a') + status(3)
+                 + mcu.encode_raw(0x40, 4, b'too long') + status(5) + status(7))
     assert watched.seqs() == [1, 3, 5, 7] and watched.link.frames_lost == 1
     errors = watched.link.decoder.errors
     assert errors['implausible'] == errors['length'] == 1
 
 
-def test_a_fault_of_a_receiver_is_logged_and_costs_no_connection(line, watch, lines):
+def test_a_fault_of_a_receiver_is_logged_and_costs_no_connection(watch, lines):
     watched = watch()
     on_status, faults = watched.link._on_status, iter([True])
 
@@ -114,16 +109,15 @@ def test_a_fault_of_a_receiver_is_logged_and_costs_no_connection(line, watch, li
         on_status(*arguments)
         next(faults, False) and 1 / 0
     watched.link._on_status = receive
-    line.write(status(1) + status(2))
-    until(lambda: watched.seqs() == [1, 2])
+    watched.give(status(1) + status(2))
     assert watched.link.connection.reconnects == 0 and len(lines('ZeroDivisionError')) == 1
 
 
 class Timed(Watched):
     """A link with a timeout of 0.2 s, whose time the test sets, in s from its begin."""
 
-    def __init__(self, logger, **arguments):
-        super().__init__(dict(port=Port('/dev/absent'), timeout=0.2, logger=logger, **arguments))
+    def __init__(self, logger, **options):
+        super().__init__(logger, timeout=0.2, **options)
         self._begin = self._now = self.link._latest[None].received_at
 
     def wait(self, end):
@@ -181,32 +175,17 @@ def test_a_board_that_sends_the_same_frame_again_is_not_silent(logger):
     assert board.seqs() == [1] * 6 and board.link.frames_lost == 0
 
 
-def test_silence_is_reported_while_the_port_is_closed_and_ends_with_data(line, watch):
+def test_silence_is_reported_while_the_port_is_closed_and_ends_with_data(watch):
     watched = watch(timeout=0.1)
-    line.write(status(200))
-    until(lambda: watched.got)
-    line.unplug()
-    until(lambda: watched.silences and watched.silences[-1][1] == 200)
-    assert watched.link.report(time.monotonic()).level == ERROR
-    line.plug()
-    until(lambda: watched.link.port.is_open)
-    line.write(status(3))
-    until(lambda: len(watched.got) == 2)
+    watched.give(status(200) + status(201)[:9])
+    watched.steps.unplug().run(1.0)
+    assert watched.silences[-1][1] == 200
+    assert watched.link.report(watched.steps.port.time).level == ERROR
+    watched.steps.plug()
+    watched.give(status(3))
+    assert watched.seqs() == [200, 3] and not any(watched.link.decoder.errors.values())
     assert watched.link.frames_lost == 0, 'what a port away lost is not counted'
     assert watched.link.connection.reconnects == 1
-
-
-def test_an_incomplete_frame_is_dropped_at_a_reconnect(line, watch):
-    watched = watch(frame_timeout=20.0)
-    line.write(status(1)[:9])
-    until(lambda: watched.link.decoder.pending)
-    line.unplug()
-    until(lambda: not watched.link.port.is_open)
-    line.plug()
-    until(lambda: watched.link.port.is_open)
-    line.write(status(2))
-    until(lambda: watched.got)
-    assert watched.seqs() == [2] and not any(watched.link.decoder.errors.values())
 
 
 @pytest.mark.parametrize('url, limit, is_lost', [

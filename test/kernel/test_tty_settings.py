@@ -1,0 +1,154 @@
+"""Settings of a tty that another program changes during use, and who may open a tty."""
+import errno
+import fcntl
+import os
+import struct
+import subprocess
+import sys
+import termios
+import time
+
+import pytest
+from waiting import PATIENCE
+
+from serial_communication.transport import open_port, tty_settings
+from serial_communication.transport.port import Port, PortError
+
+EVERY_BYTE = bytes(range(256))
+_IS_EXCLUSIVE = 0x80045440      # TIOCGEXCL, which termios does not name
+_NOBODY = 65534
+
+
+def stty(path, *arguments):
+    """Run stty as a user does in another terminal."""
+    return subprocess.run(['stty', '-F', path, *arguments], check=True, stdout=subprocess.PIPE,
+                          universal_newlines=True).stdout
+
+
+def read_exactly(port, size):
+    """So many bytes from the port."""
+    data = b''
+    deadline = time.monotonic() + PATIENCE
+    while len(data) < size:
+        assert time.monotonic() < deadline, data
+        data += port.read(0.1)
+    return data
+
+
+@pytest.mark.parametrize('arguments, words', [
+    (['sane'], ['icrnl', 'icanon', 'echo', 'opost', 'isig']),
+    (['echo'], ['echo']), (['icanon'], ['icanon']), (['icrnl'], ['icrnl']), (['ixon'], ['ixon']),
+    (['istrip'], ['istrip']), (['cstopb'], ['cstopb']), (['crtscts'], ['crtscts']),
+    (['9600'], ['9600 baud']), (['min', '200'], ['special characters'])],
+    ids=' '.join)
+def test_settings_changed_by_another_program_are_named_and_restored(port, line, arguments, words):
+    before = stty(line.path, '-g')
+    assert port.restore_settings() == ''
+    stty(line.path, *arguments)
+    if stty(line.path, '-g') == before:
+        pytest.skip('a pseudo terminal has no such setting')
+    changed = port.restore_settings().split(', ')
+    assert set(words) <= set(changed)
+    assert stty(line.path, '-g') == before
+    assert port.restore_settings() == '', 'reported twice'
+    line.write(EVERY_BYTE)
+    assert read_exactly(port, 256) == EVERY_BYTE
+    port.write(EVERY_BYTE)
+    assert line.read_all() == EVERY_BYTE, 'changed bytes, or an echo'
+
+
+@pytest.mark.parametrize('again', ['icanon', 'echo'])
+def test_settings_that_are_changed_just_after_they_were_restored_are_restored_again(
+        port, line, monkeypatch, again):
+    before = stty(line.path, '-g')
+    stty(line.path, 'icanon')
+    with monkeypatch.context() as other:
+        write = tty_settings.write
+        other.setattr(tty_settings, 'write',
+                      lambda fd, settings: write(fd, settings) or stty(line.path, again))
+        assert 'icanon' in port.restore_settings()
+    assert again in port.restore_settings()
+    assert stty(line.path, '-g') == before
+
+
+def test_a_device_that_does_not_take_its_settings_is_left_alone_after_3_tries(
+        port, line, monkeypatch):
+    monkeypatch.setattr(tty_settings, 'write', lambda fd, settings: None)
+    stty(line.path, 'icanon')
+    assert ['icanon' in port.restore_settings() for _ in range(5)] == [True] * 3 + [False] * 2
+
+
+def test_a_nonstandard_baud_rate_is_restored(line):
+    port = Port(line.path, 31250)
+    port.open()
+    stty(line.path, '115200')
+    assert port.restore_settings() == '115200 baud'
+    assert struct.unpack('=I', tty_settings.read(port._opened._fd)[-4:]) == (31250,)
+    port.close()
+
+
+def test_bytes_that_waited_under_other_settings_are_dropped(port, line):
+    stty(line.path, 'sane')
+    line.write(b'\r\x08\x15')
+    assert port.restore_settings()
+    line.read_all()
+    line.write(b'later')
+    assert read_exactly(port, 5) == b'later'
+
+
+def test_a_port_that_is_not_a_tty_has_no_settings():
+    port = Port('loop://')
+    assert port.restore_settings() == ''
+    port.open()
+    assert port.restore_settings() == ''
+    port.close()
+
+
+# -- who may open it ------------------------------------------------------------------------------
+
+def is_exclusive(fd):
+    return struct.unpack('i', fcntl.ioctl(fd, _IS_EXCLUSIVE, bytes(4)))[0]
+
+
+def open_as_ordinary_user(path):
+    """The errno of opening it as a user without privileges; 0: it can be opened."""
+    code = ('import os, sys\nif os.geteuid() == 0: os.setgid({0}); os.setuid({0})\n'
+            'try: os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)\n'
+            'except OSError as error: sys.exit(error.errno)').format(_NOBODY)
+    return subprocess.run([sys.executable, '-c', code, path]).returncode
+
+
+def test_an_open_tty_is_locked_until_it_is_closed(line, port, monkeypatch):
+    """A pseudo terminal, which itself is not locked, stands in for a device: both are ttys."""
+    device = os.path.realpath(line.path)
+    os.chmod(device, 0o666)
+    other = os.open(device, os.O_RDWR | os.O_NOCTTY)
+    assert not is_exclusive(other)
+    port.close()
+    monkeypatch.setattr(open_port, '_PTY', ())
+    for _ in range(2):
+        port.open()
+        assert is_exclusive(other)
+        assert open_as_ordinary_user(device) == errno.EBUSY
+        port.close()
+        assert not is_exclusive(other)
+        assert open_as_ordinary_user(device) == 0
+    os.close(other)
+
+
+def test_restoring_the_settings_of_a_removed_tty_does_not_raise(port, line):
+    line.unplug()
+    assert port.restore_settings() == ''
+    with pytest.raises(PortError):
+        port.read(PATIENCE)
+
+
+@pytest.mark.parametrize('before', [['sane'], ['parmrk', 'ignpar', 'cstopb'], ['9600', 'ixany']])
+def test_an_opened_tty_is_raw_whatever_its_settings_were(line, before):
+    stty(line.path, *before)
+    port = Port(line.path)
+    port.open()
+    iflag, oflag, cflag, lflag, speed = termios.tcgetattr(port._opened._fd)[:5]
+    assert (iflag, oflag, lflag, speed) == (0, 0, 0, termios.B115200)
+    assert cflag & ~termios.B115200 == termios.CS8 | termios.CREAD | termios.CLOCAL
+    port.close()
