@@ -82,8 +82,8 @@ def test_at_a_new_master_the_panel_starts_again_with_its_port_and_token():
     try:
         with Panel('--control', name='panel_again',
                    environment={'ROS_MASTER_URI': master.uri}) as panel:
-            def is_known():
-                return master.server.is_online() and '/panel_again' in str(
+            def is_known():     # rospy registers this service last
+                return master.server.is_online() and '/panel_again/set_logger_level' in str(
                     master.server.getSystemState())
             until(is_known, 'it is registered')
             master.end()
