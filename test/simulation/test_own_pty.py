@@ -55,7 +55,8 @@ def assert_nothing_old_is_read(link, notes):
     frames = []
     while not frames:
         frames = decoder.feed(os.read(bridge, 1))
-    sent, = of(notes, raw=frames[0].raw.hex())
+    raw = frames[0].raw.hex()
+    sent, = until(lambda: of(notes, raw=raw), 'the board notes a frame after it is written')
     assert sent['n'] > before and 'why' not in sent
     return bridge
 
