@@ -4,6 +4,7 @@ from typing import Sequence
 import rospy
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse
 
+from ..link.lending import STALLED
 from ..link.link import Link
 from ..link.outcome import NOT_SENT, Outcome
 
@@ -40,8 +41,7 @@ class Stop:
 
     def _release(self) -> SetBoolResponse:
         if any(link.connection.may_be_from_a_stall() for link in self._links):
-            return SetBoolResponse(False, Outcome(
-                NOT_SENT, 'the call may have waited while the bridge stalled; call again').text)
+            return SetBoolResponse(False, Outcome(NOT_SENT, STALLED).text)
         if self.holds:
             rospy.loginfo('~stop: released')
         self._set(False)
