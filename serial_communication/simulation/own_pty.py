@@ -9,10 +9,11 @@ import select
 import termios
 import time
 import tty
-from contextlib import suppress
-from typing import Optional
+from contextlib import contextmanager, suppress
+from typing import Iterator, Optional
 
-from ..transport.port import Port, PortBusy, PortError
+from ..transport.open_port import OpenPort
+from ..transport.port import Port, PortError
 
 _LOOK_AGAIN = 0.01     # s
 _READ_SIZE = 65536
@@ -37,7 +38,6 @@ class OwnPty(Port):
         self._name = os.ttyname(slave)
         super().__init__(link or self._name)
         self._link = link
-        self._has_opened = False
         tty.setraw(slave)
         os.close(slave)
         os.set_blocking(self._master, False)
@@ -66,50 +66,52 @@ class OwnPty(Port):
             except OSError:
                 time.sleep(_LOOK_AGAIN)
 
-    @property
-    def is_open(self) -> bool:
-        return self._has_opened
-
-    def open(self) -> None:
-        """PortError while no other program has the other end open."""
+    def _open(self) -> OpenPort:
         if any(event & select.POLLHUP for _, event in self._poll.poll(0)):
             raise PortError('waiting for a program that opens it')
-        self._has_opened = True
+        return _Master(self._master, self._name, self._wake_read)
 
-    def close(self) -> None:
+
+class _Master(OpenPort):
+    """The board's end, while another program has the other end open."""
+
+    is_pty = True
+
+    def __init__(self, master: int, name: str, wake: int) -> None:
+        # pylint: disable=super-init-not-called  pyserial does not open it
+        self._master = master
+        self._name = name
+        self._wake = wake
+
+    def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
+        ready, _, _ = select.select([self._master, self._wake],
+                                    [self._master] if wants_room else [], [], timeout)
+        with suppress(BlockingIOError), _closed_by_other():
+            if self._wake in ready:
+                os.read(self._wake, _READ_SIZE)
+            if self._master in ready:
+                return os.read(self._master, _READ_SIZE)
+        return b''
+
+    def send(self, data: bytes) -> int:
+        with _closed_by_other():
+            return os.write(self._master, data)
+
+    def close(self, is_held: bool) -> None:
         """Drop what was written but not read."""
-        self._has_opened = False
-        self._rest = b''
         with suppress(OSError, termios.error):
             termios.tcflush(self._master, termios.TCOFLUSH)
             slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
             termios.tcflush(slave, termios.TCIFLUSH)
             os.close(slave)
 
-    def read(self, timeout: Optional[float]) -> bytes:
-        waiting = [self._master] if self._rest else []
-        ready, writable, _ = select.select([self._master, self._wake_read], waiting, [], timeout)
-        try:
-            if self._wake_read in ready:
-                os.read(self._wake_read, _READ_SIZE)
-            if writable:
-                self._rest = self._rest[os.write(self._master, self._rest):]
-            return os.read(self._master, _READ_SIZE) if self._master in ready else b''
-        except BlockingIOError:
-            return b''
-        except OSError:
-            raise PortError('the other program has closed it') from None
 
-    def write(self, frame: bytes) -> None:
-        if not self._has_opened:
-            raise PortError('no program has opened it')
-        try:
-            if self._rest:
-                self._rest = self._rest[os.write(self._master, self._rest):]
-            if self._rest:
-                raise BlockingIOError
-            self._rest = frame[os.write(self._master, frame):]
-        except BlockingIOError:
-            raise PortBusy('the port takes no data') from None
-        except OSError:
-            raise PortError('the other program has closed it') from None
+@contextmanager
+def _closed_by_other() -> Iterator[None]:
+    """Say in words for people why the system gives EIO."""
+    try:
+        yield
+    except BlockingIOError:
+        raise
+    except OSError:
+        raise PortError('the other program has closed it') from None
