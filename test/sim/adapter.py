@@ -9,28 +9,31 @@ from device import Device
 from world import Loop, World
 
 from serial_communication.boards.arduino import custom_messages, settings
-from serial_communication.boards.arduino.heartbeat import HeartbeatThread
-from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
-from serial_communication.boards.arduino.motor import Motor, Stop
-from serial_communication.boards.arduino.output import CarOutput
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.arduino.motion import Motion, Stop
+from serial_communication.boards.arduino.session import CarOptions, CarSession
 from serial_communication.boards.arduino.simulator import ModelCar
 from serial_communication.boards.bus import wire as bus_wire
 from serial_communication.boards.bus.call import CallQueue
 from serial_communication.boards.bus.functions import read_functions
-from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.boards.bus.link import BusLink, BusSettings, MasterSession
 from serial_communication.boards.bus.master import Master
 from serial_communication.boards.bus.session import Session, SessionState
 from serial_communication.boards.bus.simulator import ControlBoard as BusBoard
 from serial_communication.boards.mcu.link import McuLink
+from serial_communication.boards.mcu.session import SensorSession
 from serial_communication.boards.mcu.simulator import SensorBoard
 from serial_communication.framing.announcement import read_announcement, write_announcement
 from serial_communication.framing.custom_messages import CustomMessage
 from serial_communication.link.announcement import BoardAnnouncement
-from serial_communication.link.connection import Connection
+from serial_communication.link.freshness import Freshness
+from serial_communication.link.lending import Lending
 from serial_communication.link.link import Link
 from serial_communication.link.outcome import Refused
+from serial_communication.link.receiver import Receiver
 from serial_communication.link.settings import BoardSettings
 from serial_communication.link.stamps import Stamps
+from serial_communication.link.writer import Writer
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.simulation.line import SimulatedLine
 from serial_communication.transport.port import Port
@@ -56,23 +59,23 @@ class SimPort(Port):
 
     def __init__(self, world: World, device: Device) -> None:
         scheme = 'socket://sim:1' if device.kind == 'network' else '/dev/sim'
-        super().__init__(scheme, 115200, now=world.clock)
+        super().__init__(scheme, 115200)
         self._world, self._device = world, device
         for descriptor in self._wake_read, self._wake_write:     # nothing sleeps
             os.close(descriptor)
 
     def _open(self) -> Any:
-        self._refuse_while_lent('')
         device = self._device
         device.open()
         return SimpleNamespace(
             is_pty=device.kind == 'pty', has_baud=device.kind == 'tty', escaped=bytes,
             read=lambda _timeout, _wants_room: device.read(65536), send=device.send,
-            unsent=device.unsent, on_its_way=device.unsent, discard_output=device.flush_output,
-            restore_settings=device.restore, pulse=lambda _line: device.pulse(),
-            close=lambda _is_held: device.close())
+            unsent=device.unsent, on_its_way=device.unsent, renew=device.renew,
+            changed_settings=lambda: 'icanon' if device.is_altered else '',
+            pulse=lambda _line: device.pulse(), close=device.close)
 
-    _others_have = staticmethod(lambda _path: False)
+    def is_used(self) -> bool:
+        return False
 
     def pause(self, seconds: float) -> None:
         pass
@@ -95,10 +98,9 @@ class Robot:
         self.link: Any
         if kind == 'arduino':
             self.link = ArduinoLink(
-                port, ArduinoSettings(**parameters), on_message=self._publish,
+                port, CarOptions(**parameters), on_message=self._publish,
                 on_calibrating=lambda on: self.calibrating.append((world.clock(), on)),
                 messages=[row.kind for row in self.rows(rows) if not row.is_command], **options)
-            self.link.output.motor.awake(world.clock())
         elif kind == 'mcu':
             self.link = McuLink(
                 port, on_status=lambda message, seq, stamp: self._publish(message, stamp),
@@ -112,10 +114,10 @@ class Robot:
         self.loops = [Loop(world, step) for step in self.link.loops()]
         port.wake = device.on_input = self.loops[0].wake    # type: ignore[method-assign]
         if is_tapped:
-            self.link.tap = lambda _name, direction, frame: self.tapped.append(
+            self.link.traffic.tap = lambda _name, direction, frame: self.tapped.append(
                 (direction, frame.raw, frame.cause))
-        self.link.lending.line = 'dtr'
-        self.link.announcement.on_text = lambda text: world.after(
+        self.link.lending.reset_line = 'dtr'
+        self.link.session.announcement.on_text = lambda text: world.after(
             world.random.uniform(0.0, 0.3), lambda: self._use(text))
         self._made: List[Callable[[], None]] = []
         self.functions: Dict[str, Any] = {}     # of the bus
@@ -125,7 +127,7 @@ class Robot:
         """Use these functions of the bus."""
         self.functions = {each.name: each._replace(announced=announced)
                           for each in read_functions(rows)}
-        self.link.stops = [(each.make_request(()), each) for each in self.functions.values()
+        self.link.session.stops = [(each.make_request(()), each) for each in self.functions.values()
                            if each.interrupts]
 
     @staticmethod
@@ -148,12 +150,12 @@ class Robot:
             if row.is_command:
                 self.grippers.append(row.kind)
             else:
-                self.link.decoder.add_message(row.kind)
-                self._made.append(lambda kind=row.kind: self.link.decoder.remove_message(kind))
+                self.link.session.decoder.add_message(row.kind)
+                self._made.append(lambda kind=row.kind: self.link.session.decoder.remove_message(kind))
         for setting in settings({
                 name: row for name, row in announced.rows.items() if 'setting' in row}):
-            self._made.append(self.link.board_settings.add(setting, announced=True))
-        self.link.announcement.use(text, announced.firmware, list(announced.rows))
+            self._made.append(self.link.session.board_settings.add(setting, announced=True))
+        self.link.session.announcement.use(text, announced.firmware, list(announced.rows))
 
     # -- what people and programs do -----------------------------------------------------------
 
@@ -173,12 +175,17 @@ class Robot:
             bus_wire.Request(cmd1, cmd2, data), bus_wire.RAW))
 
     def stop(self, holds: bool) -> str:
-        self.link.is_stopped = holds
+        self.link.session.is_stopped = holds
         return self.link.stop_motion() if holds else ''
 
     def lend_or_reset(self, seconds: float) -> Any:
+        """The `answer` of a loan or a reset: whether it was done, and what is said."""
         lending = self.link.lending
-        return lending.ask_for_loan('judge', seconds) if seconds else lending.ask_for_reset()
+        try:
+            return SimpleNamespace(answer=(
+                True, lending.lend('judge', seconds) if seconds else lending.reset()))
+        except Refused as refused:
+            return SimpleNamespace(answer=(False, str(refused)))
 
     def report(self) -> Dict[str, Any]:
         return dict(self.link.report(self.world.clock()).values)

@@ -141,9 +141,9 @@ def _tune(story: Story) -> None:
     def want() -> None:
         name, value = story.random.choice((('kp', story.number() % 40 / 4),
                                            ('limit', story.number() % 500)))
-        if name in story.robot.link.board_settings.shown():     # else nobody can set it
+        if name in story.robot.link.session.board_settings.shown():     # else nobody can set it
             story.wants.append((story.world.clock(), name, value))
-        story.robot.link.board_settings.want(name, value)
+        story.robot.link.session.board_settings.want(name, value)
     story.every(1.0, 8.0, want)
 
 

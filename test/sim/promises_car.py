@@ -12,10 +12,11 @@ from promises import (ANNOUNCEMENT, CALIBRATION, FRESH, FUNCTION, GRIPPER, HEART
 def heartbeats_in_time(e: Evidence) -> Verdicts:
     """No gap of 30 ms between heartbeats while the port is open and the bridge runs."""
     beats = [frame.time for frame in e.of_type(e.wrote, HEARTBEAT)]
+    resets = [(asked, asked + 0.2) for asked, _, name, task in e.story.tasks if name == 'reset']
     for begin, end in e.openings:
         times = [begin, *(each for each in beats if begin <= each <= end)]
         for last, beat in zip(times, times[1:]):
-            excused = overlaps(e.stalls[1], last, beat, SLACK)
+            excused = overlaps(e.stalls[1] + resets, last, beat, SLACK)
             yield not excused, '' if excused or beat - last < 0.03 else \
                 f'no heartbeat from {last:.3f} to {beat:.3f}'
         if end - times[-1] >= 0.05 and not overlaps(
@@ -102,7 +103,9 @@ def stops_are_repeated(e: Evidence) -> Verdicts:
         for following in sent[index + 1:]:
             if following.time > limit or speed_of(following):
                 break
-            excused = overlaps(e.stalls[1], last.time, following.time, 0.05) \
+            excused = overlaps(e.stalls[1] + [(asked, asked + 0.2) for asked, _, name, _ in
+                                              e.story.tasks if name == 'reset'],
+                               last.time, following.time, 0.05) \
                 or any(frame.time <= each <= following.time for each in calibrations)
             yield not excused, '' if excused or following.time - last.time <= 0.065 else \
                 f'SPEED 0 of {last.time:.3f} was repeated at {following.time:.3f}'
@@ -281,7 +284,8 @@ def refusals_are_true(e: Evidence) -> Verdicts:
                                  FRESH + 0.11),     # it may wait for its output to leave
                'silent': device.kind == 'pty' and not any(
                    now - limit + 0.2 < each <= now - 0.15 for each in reads),
-               'port': overlaps([(end, end) for _, end in e.openings], now - 0.2, now, 0.2)
+               'port': device.kind == 'network' and overlaps(e.stalls[0], now, now, 0.1)
+               or overlaps([(end, end) for _, end in e.openings], now - 0.2, now, 0.2)
                or not opened < float('inf') or overlaps(
                    [(asked, asked + 0.2) for asked, _, _, _ in story.tasks], now, now)}
         yield 1, '' if may.get(cause, True) else \
@@ -401,8 +405,12 @@ def no_stop_without_a_cause(e: Evidence) -> Verdicts:
 
 
 def dropped_output_ends_with_speed_0(e: Evidence) -> Verdicts:
-    """SPEED 0 is the first packet after dropped output."""
+    """SPEED 0 is the first packet after dropped output, but while the board calibrates."""
+    starts = [time for time, on in e.story.robot.calibrating if on]
+    ends = [time for time, on in e.story.robot.calibrating if not on]
     for time in e.story.device.flushes:
+        if overlaps(list(zip(starts, [*ends, float('inf')])), time, time):
+            continue
         first = next((frame for frame in e.wrote if frame.begun > time), None)
         excused = first is None or first.time > e.opening_of(time)[1] or overlaps(
             e.suspended, time, first.time) or any(

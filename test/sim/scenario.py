@@ -157,7 +157,7 @@ class Story:
         self.robot = Robot(world, self.device, kind, rows, self.random.random() < 0.5, **parameters)
         if kind != 'bus' and not self.announces:
             for setting in settings({name: row for name, row in ROWS.items() if 'setting' in row}):
-                self.robot.link.board_settings.add(setting)
+                self.robot.link.session.board_settings.add(setting)
         if kind == 'bus' and not self.announces:
             self.robot.use_functions(FUNCTIONS, False)
         # Of each report what the line and the taps had by then.
