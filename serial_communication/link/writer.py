@@ -52,7 +52,7 @@ class Writer:
         may_be_old = self._session.may_be_old(request)
         if self.has_ended:
             raise Refused('the bridge is stopping', 'stopping')
-        if not self._port.is_open:
+        if not self._port.is_usable:
             raise Refused(f'the port {self._port.url} is closed', 'port')
         if not may_be_old and not self.fresh.is_fresh(now, stamp):
             raise Refused(STALLED, 'stall')
@@ -158,7 +158,7 @@ class Writer:
                 if stall:
                     self.begin_anew(f'the bridge stalled for {stall:.3g} s', keeps_input=True)
                 packets, due = self._session.beat(now)
-                if self._port.is_open and not self.has_ended:
+                if self._port.is_usable and not self.has_ended:
                     self.check_output(now)
                     self.transmit(packets, now)
             except Refused:

@@ -47,6 +47,11 @@ class Port:
         return self._opened is not None
 
     @property
+    def is_usable(self) -> bool:
+        """Whether it is open, and not given up."""
+        return self._opened is not None and not self._failure
+
+    @property
     def is_network(self) -> bool:
         """Whether the port is on another computer."""
         return self._scheme in NETWORK

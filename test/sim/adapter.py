@@ -81,7 +81,7 @@ class SimPort(Port):
         pass
 
     def drain(self, seconds: float) -> None:
-        self._world.wait(self._device.drain(seconds))
+        self._device.drain(seconds)
 
 
 class Robot:
