@@ -1,4 +1,4 @@
-"""The emulated Nano with Arduino's own bootloader. test/ros/flashing_test.py flashes it."""
+"""The emulated Nano with Arduino's own bootloader."""
 import os
 import signal
 import subprocess

@@ -137,15 +137,6 @@ class INTERFACE(Interface):
         (package / 'ros.py').write_text(interface)
         return package.name
 
-    def assert_refused(self, given, *said):
-        with self.assertRaises(ParameterError) as caught:
-            check(given, '/node')
-        text = str(caught.exception)
-        for words in said:
-            self.assertIn(words, text)
-        self.assertNotIn('\n', text)
-        return text
-
     def test_a_board_is_accepted_and_what_its_import_raises_passes(self):
         with self.assertRaises(ZeroDivisionError):
             check({'boards': [self.board('1 / 0')]}, '/node')
@@ -159,12 +150,6 @@ class INTERFACE(Interface):
         values, warnings = check({'boards': [one], 'wind': {'baud': 9600}}, '/node')
         self.assertEqual((values['boards'][-1].NAME, values['wind/baud'], warnings),
                          ('wind', 9600, []))
-
-    def test_rows_that_a_board_announced_in_an_earlier_run_are_no_unknown_parameter(self):
-        given = {'boards': [self.board(self.BOARD)], 'wind': {'announced': {'gust': {}}}}
-        self.assertEqual(check(given, '/node')[1], [])
-        given['boards'] = [self.board(self.BOARD + '    PARAMETERS["announced"] = Parameter(5)')]
-        self.assert_refused(given, 'wind/announced is')
 
 
 class Lines(unittest.TestCase):
