@@ -137,6 +137,15 @@ class INTERFACE(Interface):
         (package / 'ros.py').write_text(interface)
         return package.name
 
+    def assert_refused(self, given, *said):
+        with self.assertRaises(ParameterError) as caught:
+            check(given, '/node')
+        text = str(caught.exception)
+        for words in said:
+            self.assertIn(words, text)
+        self.assertNotIn('\n', text)
+        return text
+
     def test_a_board_is_accepted_and_what_its_import_raises_passes(self):
         with self.assertRaises(ZeroDivisionError):
             check({'boards': [self.board('1 / 0')]}, '/node')
