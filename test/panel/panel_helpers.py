@@ -29,7 +29,6 @@ KEPT_BACK = re.compile('press again|call again|one call at a time|while the brid
                        'no connection to the panel|(bridge|ROS master) does not answer|'
                        '; nothing was sent|the board is silent|the port takes no data|'
                        'the line has not sent')
-GRIPPER = arduino.encode_raw(40, struct.pack('<hhB', -25, 500, 3))     # x -2.5, y 50, z 3
 
 
 def free_port():

@@ -9,7 +9,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 import rospy
 from boards import PACKAGE, Topic, again_if_stalled, settle, until
-from panel_helpers import GRIPPER, KEPT_BACK, NODE, TOKEN, Network
+from panel_helpers import KEPT_BACK, NODE, TOKEN, Network
 
 from geometry_msgs.msg import Twist, Vector3
 from sensor_msgs.msg import Imu
@@ -243,28 +243,6 @@ def test_on_a_phone_each_part_is_a_tab_and_stop_always_in_sight(control_page, ro
 # -- commands ---------------------------------------------------------------------------------
 
 
-def test_a_custom_command_is_a_form_with_its_limits(control_page, robot):
-    form = '[data-service="~gripper"] '
-    assert [each.replace('\n', ' ') for each in control_page.texts(form + 'label')] == [
-        'x \N{MINUS SIGN}10 \u2026 10', 'y 0 \u2026 50', 'z 0 \u2026 3']
-
-    def fill(*values):
-        control_page.script("document.querySelectorAll(arguments[0] + 'input').forEach("
-                            "(input, at) => { input.value = arguments[1][at]; })", form, values)
-        control_page.click(form + 'button')
-    for values in (('', '', ''), ('-2.5', '50', ''), ('-2.5', '50.1', '3'), ('-2.5', '50', '2.5')):
-        fill(*values)
-        assert len(control_page.all(form + 'input:invalid')) == max(1, values.count(''))
-    control_page.wait_for_updates(15)
-    assert GRIPPER not in robot.car.wire
-
-    def send():
-        if GRIPPER not in robot.car.wire and control_page.all(form + 'button:enabled'):
-            fill('-2.5', '50', '3')
-    until(lambda: GRIPPER in robot.car.wire, 'the board receives it', doing=send, every=0.3)
-    wait_for_answer(control_page, 'gripper -2.5 50 3 sent')
-
-
 def test_a_setting_is_a_form_with_a_slider_beside_the_boards_own_value(control_page, robot):
     form = '[data-service="~settings/arduino/kp"] '
     number, slider = form + 'input[type=number]', form + 'input[type=range]'
@@ -296,25 +274,6 @@ def test_a_setting_is_a_form_with_a_slider_beside_the_boards_own_value(control_p
     control_page.wait(lambda page: page.text(form + '.board-value') == '2.5', 'its new value',
                       doing=lambda: report(2.5), every=0.3)
     assert value_of(number) == 2.5
-
-
-def test_calibration_needs_a_confirmation(control_page, robot):
-    packet, form = arduino.encode(arduino.ImuCalibration()), '[data-service="~calibrate_imu"] '
-    open_dialog(control_page, form)
-    control_page.click('#stop')
-    release_stop(control_page)       # beside the dialog
-    control_page.click(form + 'dialog button:last-of-type')
-    assert packet not in robot.car.raw_commands
-    robot.sends = False          # as a board that calibrates
-    try:
-        press(control_page, form + '> .controls button',
-              lambda _page: packet in robot.car.raw_commands, 'the board has received it',
-              lambda _button: confirm(control_page, form))
-        control_page.wait(lambda page: 'calibrating for' in page.text(form + '.words'),
-                          'the elapsed time is shown')
-    finally:
-        robot.sends = True
-    control_page.wait(lambda page: page.text(form + '.words') == '', 'the calibration is over')
 
 
 def test_stop_is_sent_as_soon_as_it_is_pressed_and_once(control_page):

@@ -150,13 +150,6 @@ def test_a_signal_ends_a_working_simulator_cleanly(start, tty, tmp_path, number)
     assert all(isinstance(entry['t'], float) for entry in entries)
 
 
-def test_a_signal_ends_a_waiting_simulator_cleanly(start):
-    simulator = start('bus', '--port', '/nowhere/ttyV1')
-    until(simulator.text, 'a line')
-    assert simulator.end() == 0
-    assert simulator.text() == 'bus: /nowhere/ttyV1: there is no such device; waiting for it\n'
-
-
 def test_it_waits_for_an_absent_port(start, tty, tmp_path):
     name = tmp_path / 'port'
     simulator = start('bus', '--port', str(name))

@@ -10,9 +10,6 @@ import sys
 import termios
 
 import pytest
-from serial_communication.boards import description
-from serial_communication.ros.parameter import baud
-from waiting import PATIENCE
 from wire_lines import ROOT
 
 PAGE = open(os.path.join(ROOT, 'doc', 'developing.md'), encoding='utf-8').read()
@@ -57,23 +54,3 @@ def test_a_program_opens_the_port_at_the_rate_of_the_parameters(
         process.communicate()
         os.close(near)
         os.close(far)
-
-
-def test_the_bridges_parameter_has_the_rate_of_the_description(folder):
-    for name, rate in ('arduino', 115200), ('wind_sensor', 4800):
-        assert baud(description(name)).default == rate
-    assert "'baud': baud(DESCRIPTION)" in (folder / 'wind_sensor' / 'ros.py').read_text()
-
-
-@pytest.mark.parametrize('given', ['fast', '0', '115200.0', 'true'])
-def test_a_rate_that_the_bridge_refuses_is_refused_by_every_program(folder, given):
-    config = folder / 'config.yaml'
-    config.write_text(f'arduino: {{baud: {given}}}')
-    for arguments in (['wire', 'listen', 'arduino', '/dev/null', '--config', config],
-                      ['simulator', 'arduino', '--port', '/dev/null', '--config', config],
-                      ['ports', '--config', config, '/dev/null']):
-        done = subprocess.run([sys.executable, f'{ROOT}/scripts/{arguments[0]}',
-                               *map(str, arguments[1:])], stdout=subprocess.PIPE,
-                              stderr=subprocess.PIPE, text=True, timeout=PATIENCE)
-        assert done.returncode == 2 and "arduino/baud is " in done.stderr
-        assert 'may be a whole number from 50 to 4000000 (baud)' in done.stderr
