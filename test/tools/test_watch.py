@@ -32,35 +32,6 @@ def test_relative_and_absolute_names_convert_both_ways(name, node, full):
     assert topics.relative(full, node) == name
 
 
-GAUGE = '''
-from serial_communication.boards.description import CustomRows, Description, Topic
-DESCRIPTION = Description(
-    'gauge', __name__, lambda sent, parameters: None, 'rain gauge',
-    topics=(Topic('rain', 'std_msgs/Float32', period_parameter='every'),
-            Topic('rain/battery', 'std_msgs/Float32', 5.0)),
-    custom=CustomRows('rows', list, 'rain/'))
-'''
-
-
-def test_topics_of_a_board_of_another_package_are_known(tmp_path, monkeypatch):
-    (tmp_path / 'rain_gauge').mkdir()
-    (tmp_path / 'rain_gauge' / '__init__.py').write_text(GAUGE)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    bridge = BridgeState()
-    bridge.set_parameters({'boards': ['not_installed', 'rain_gauge', 3], 'gauge': {
-        'port': '/dev/gauge', 'every': 60.0,
-        'rows': {'snow': {'ros_type': 'std_msgs/Bool', 'period': 2.0}}}})
-    assert bridge.board('gauge').title == 'rain gauge' and bridge.board('other') is None
-    found = topics.published_topics(
-        NODE, {'/rain/snow': 'std_msgs/Bool', '/rain': 'std_msgs/Float32',
-               '/rain/battery': 'std_msgs/Float32', '/other': 'std_msgs/Bool'},
-        bridge.parameters, bridge.boards)
-    assert [(each.name, each.links, each.period) for each in found] == [
-        ('other', (), None), ('rain', ('gauge',), 60.0), ('rain/battery', ('gauge',), 5.0),
-        ('rain/snow', ('gauge',), 2.0)]
-    assert topics.expected_links(bridge.parameters) == ['gauge']
-
-
 def test_parameters_make_the_topics_of_custom_messages():
     parameters = {
         'arduino': {'port': '/dev/a', 'messages': {

@@ -6,9 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.description import Description
-from serial_communication.framing.layout import Value, message_class
-from serial_communication.framing.stream import UNKNOWN, Good, Need, StreamDecoder
 from serial_communication.tools.wire.fields import Explainer
 from serial_communication.tools.wire.lines import Settings
 from wire_lines import settings
@@ -63,37 +60,3 @@ def test_the_parts_of_any_bytes_are_complete_and_an_incomplete_frame_has_an_erro
         decoder = LINES[line].decoder
         decoder.reset()
         assert [each.raw for each in decoder.feed(frame)] == [frame]
-
-
-# -- a board of another package -------------------------------------------------------------------
-
-Weight = message_class('Weight', 1, '<xH', [Value('value', 'kg', 0.1)], 'weight')
-
-
-class _Decoder(StreamDecoder):
-    """A '!', the type, three bytes of data and a '.'."""
-
-    STARTS = b'!'
-
-    def __init__(self):
-        super().__init__()
-        self.errors[UNKNOWN] = 0
-
-    def frame_at(self, at):
-        frame = self.buffer[at:at + 6]
-        if len(frame) < 6:
-            return Need(6)
-        data = frame[2:5]
-        return Good(6, frame[1], 0, data, Weight.unpack(data) if frame[1] == Weight.TYPE else None)
-
-
-def test_another_board_has_the_values_of_its_message_or_the_whole_frame():
-    another = Explainer(Settings(Description('x', 'x', lambda sent, _: _Decoder()), 0), False)
-    assert [(part.name, part.data, part.value, part.unit) for part in another.parts(
-        b'!\1\0\5\0.')] == [('start', b'!\1', None, ''), ('padding', b'\0', None, ''),
-                            ('value', b'\5\0', 0.5, 'kg'), ('end', b'.', None, '')]
-    assert [part.name for part in another.parts(b'!\2\0\5\0.')] == ['frame']
-    assert [part.error for part in another.parts(b'!\2\0\5')] == ['missing, 2 bytes']
-    assert [part.name for part in another.parts(b'abc')] == ['noise']
-    hold = crane_scale.wire.encode(crane_scale.wire.Hold(), 0)     # in hex digits
-    assert [(part.data, part.meaning) for part in LINES['scale'].parts(hold)] == [(hold, 'hold')]

@@ -11,7 +11,6 @@ from lines import Pty
 from programs import started
 from waiting import PATIENCE, until
 
-from crane_scale import wire as scale
 from serial_communication.boards.mcu import wire as mcu
 from wire_lines import ROOT
 
@@ -100,41 +99,6 @@ def test_listen_waits_for_a_port_and_opens_it_again(tmp_path, start):
     assert program.end(signal.SIGTERM) == 0
 
 
-# -- a board of another package -------------------------------------------------------------------
-
-HOLD = scale.encode(scale.Hold(), 0)
-
-
-def load_frame(number):
-    return scale.encode(scale.Load(number / 10), number % 256)
-
-
-@pytest.fixture
-def scale_config(tmp_path, monkeypatch):
-    """Parameters of a bridge with the scale; its package is put on the programs' PYTHONPATH."""
-    monkeypatch.setenv('PYTHONPATH', os.pathsep.join(
-        [os.path.dirname(os.path.abspath(__file__)), os.environ.get('PYTHONPATH', '')]))
-    path = tmp_path / 'scale.yaml'
-    path.write_text('boards: [crane_scale]\n'
-                    'scale: {messages: {tilt: {type: 3, ros_type: std_msgs/Float32, '
-                    'layout: "<h", fields: [data], scale: 0.01}}}\n')
-    return path
-
-
-def test_another_board_is_explained_by_its_package_and_by_its_link(scale_config):
-    both = HOLD.hex() + load_frame(123).hex()
-    by_package = run('explain', 'crane_scale', both)
-    assert by_package.returncode == 0, by_package.stderr
-    assert re.search(r'3a 31 30 37 62 .* frame +load 12.3 kg', by_package.stdout)
-    assert run('explain', 'scale', both, '--config', scale_config).stdout == by_package.stdout
-    tilt = scale.encode_raw(b'\3\7\x64\0')
-    done = run('explain', 'scale', '--config', scale_config, tilt.hex())
-    assert done.returncode == 0 and 'frame             tilt data=1\n' in done.stdout
-    done = run('explain', 'crane_scale', tilt.hex(), load_frame(5).hex()[:-2])
-    assert done.returncode == 1
-    assert 'the unknown type 0x03' in done.stdout and 'incomplete' in done.stdout
-
-
 @pytest.mark.parametrize('arguments', [
     ['explain', 'scale', '0200'], ['explain', 'json', '0200'], ['explain', 'no.such.board', '02'],
     ['listen', 'scale', '/dev/null'], ['play', 'x', 'scale', '/dev/null']], ids=' '.join)
@@ -157,13 +121,6 @@ def test_config_makes_custom_messages_known(tmp_path):
     for path in wrong, tmp_path / 'missing.yaml':
         done = run('explain', 'arduino', '--config', path, '0420f40100')
         assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
-
-
-@pytest.mark.parametrize('program', ['explain', 'listen', 'play'])
-def test_help_names_the_program(program):
-    done = run(program, '--help')
-    assert done.returncode == 0 and f'wire {program}' in done.stdout and not done.stderr
-    assert run('--help').stdout.count(f'wire {program}') == 1
 
 
 @pytest.mark.parametrize('arguments', [
