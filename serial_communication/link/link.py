@@ -47,12 +47,12 @@ class Link:
                  board_time: bool = True, now: Callable[[], float] = pace.clock) -> None:
         self.port, self.session, self.now = port, session, now
         self.traffic = Traffic(session.NAME, session.log, session.decoder.errors)
-        self.writer = Writer(port, session, self.traffic, clock, now)
+        self.reopening = Reopening(port.url, session.log)
+        self.writer = Writer(port, session, self.traffic, self.reopening, clock, now)
         self.lending = Lending(port, session, self.writer, now)
         self.receiver = Receiver(session, self.traffic,
                                  FrameTimer(session.decoder, frame_timeout, port.baud),
                                  Stamps(port, earlier, session.log, board_time))
-        self.reopening = Reopening(port.url, session.log)
         self._reporter = Reporter(port, session, self.traffic, self.lending, self.reopening,
                                   self.receiver)
         self._clock = clock
@@ -187,6 +187,8 @@ class Link:
         self._due = now
 
     def _close(self) -> None:
+        if not self.port.is_open:
+            return
         if self.writer.has_ended:
             self.port.drain(_LEAVES)
         with self.session.lock:

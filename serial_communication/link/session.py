@@ -11,6 +11,7 @@ from ..framing.stream import Decoder, Frame
 from .announcement import BoardAnnouncement
 from .outcome import Refused  # noqa: F401  for the boards
 from .presence import Presence
+from .settings import BoardSettings
 from .sparing_log import SparingLog
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
@@ -56,6 +57,7 @@ class Session:
     STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
     # True: it tells old replies from new ones by itself. What waited during a stall is decoded.
     FENCED = False
+    board_settings: Optional[BoardSettings] = None      # None: the board has none
     BEATS = False           # True: `beat` is called by a thread of its own
 
     def __init__(self, decoder: Decoder, log: SparingLog, network_silence: float = 0.0) -> None:

@@ -7,6 +7,7 @@ from ..transport.port import Port, PortBusy, PortError
 from .freshness import STALL, Freshness
 from .outcome import Refused
 from .output import Output
+from .reopening import Reopening
 from .session import Doubt, Packet, Session
 from .traffic import TX, Traffic
 
@@ -21,18 +22,20 @@ class Writer:
 
     Args:
         traffic: counts what is written.
+        reopening: knows why the port is closed.
         clock: returns a stamp of now.
         now: s, monotonic, also while suspended.
     """
 
-    def __init__(self, port: Port, session: Session, traffic: Traffic, clock: Callable[[], Any],
-                 now: Callable[[], float]) -> None:
+    def __init__(self, port: Port, session: Session, traffic: Traffic, reopening: Reopening,
+                 clock: Callable[[], Any], now: Callable[[], float]) -> None:
         self.fresh = Freshness()
         self.output = Output(10.0 / port.baud, port.is_network)
         self.has_ended = False      # nothing may follow what was written last
         self.is_silent = False      # a port that hides what it has not sent is silent
         self.drops_input = False    # the decoder has to begin anew
         self._port, self._session, self._traffic = port, session, traffic
+        self._reopening = reopening
         self._clock, self._now = clock, now
 
     def submit(self, request: Any, stamp: Any = None) -> None:
@@ -53,7 +56,8 @@ class Writer:
         if self.has_ended:
             raise Refused('the bridge is stopping', 'stopping')
         if not self._port.is_usable:
-            raise Refused(f'the port {self._port.url} is closed', 'port')
+            raise Refused(f'the port {self._port.url} is closed ({self._reopening.trouble})',
+                          'port')
         if not may_be_old and not self.fresh.is_fresh(now, stamp):
             raise Refused(STALLED, 'stall')
         if not may_be_old and self.is_silent:

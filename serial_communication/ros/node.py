@@ -9,7 +9,7 @@ import sys
 import time
 from contextlib import suppress
 from functools import partial
-from typing import Any, Dict, List
+from typing import Any, Callable, Dict, List, Tuple
 
 import rospy
 from rospy.impl import tcpros_base
@@ -19,6 +19,7 @@ from serial_communication.srv import Release, ReleaseResponse
 
 from ..boards import BOARDS
 from ..link.link import Link
+from ..link.outcome import Refused
 from ..link.sparing_log import SparingLog
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
@@ -42,6 +43,7 @@ _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartb
 _NAME = 'serial_communication'    # the default
 _PRIORITY = 1               # real-time priority of all threads, if the system allows it
 _SHUTDOWN = 1.0             # s for all links to end
+_CLOSES = 1.5               # s for a link to close a port that is lent
 _ANSWERED = 0.1             # s for the answers of calls that have ended to leave
 _ANNOUNCEMENT_PAUSE = 1.0   # s: a board may change its announcement all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
@@ -162,9 +164,24 @@ def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
 
 def _offer_lending(link: Link) -> None:
     rospy.Service(f'~{link.name}/release', Release, lambda request: ReleaseResponse(
-        *link.lending.lend(request.by, request.seconds)))
+        *_answer(partial(_lend, link, request))))
     rospy.Service(f'~{link.name}/reset', Trigger, lambda _: TriggerResponse(
-        *link.lending.reset()))
+        *_answer(link.lending.reset)))
+
+
+def _lend(link: Link, request: Any) -> str:
+    text = link.lending.lend(request.by, request.seconds)
+    if request.seconds and not link.lending.closed.wait(_CLOSES):
+        raise Refused('the link did not close its port in time', 'late')
+    return text
+
+
+def _answer(ask: Callable[[], str]) -> Tuple[bool, str]:
+    """Whether what was asked for is done, and what to say."""
+    try:
+        return True, ask()
+    except Refused as refused:
+        return False, str(refused)
 
 
 def _accept_all_calls() -> None:
@@ -192,7 +209,7 @@ class Bridge:
         self._interfaces, self._links = [], []
         for board, values in boards:
             interface = board(values, link_options)
-            interface.link.lending.line = values['reset_line']
+            interface.link.lending.reset_line = values['reset_line']
             self._interfaces.append(interface)
             self._links.append(interface.link)
         if not self._links:
@@ -234,7 +251,7 @@ class Bridge:
         self._diagnostics.start()
 
     def _stop_order(self) -> List[Link]:
-        return sorted(self._links, key=lambda link: not link.STOPS_FIRST)
+        return sorted(self._links, key=lambda link: not link.session.STOPS_FIRST)
 
     def stop(self) -> None:
         """Send SPEED 0 first, then stop everything; takes 1 s at most, even if a port hangs."""
@@ -252,7 +269,7 @@ class Bridge:
     def start_again(self) -> None:
         """At a new master: let what is under way end, stop everything, and start the node again."""
         deadline = time.monotonic() + self._longest_call
-        while any(link.lending.under_way() for link in self._links) \
+        while any(link.session.under_way() for link in self._links) \
                 and time.monotonic() < deadline:
             time.sleep(0.05)
         self.stop()

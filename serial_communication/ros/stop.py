@@ -4,7 +4,7 @@ from typing import Sequence
 import rospy
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse
 
-from ..link.lending import STALLED
+from ..link.writer import STALLED
 from ..link.link import Link
 from ..link.outcome import NOT_SENT, Outcome
 
@@ -40,7 +40,7 @@ class Stop:
         return SetBoolResponse(not failures, '; '.join(failures) or 'stopped')
 
     def _release(self) -> SetBoolResponse:
-        if any(link.connection.may_be_from_a_stall() for link in self._links):
+        if not all(link.writer.fresh.is_fresh(link.now()) for link in self._links):
             return SetBoolResponse(False, Outcome(NOT_SENT, STALLED).text)
         if self.holds:
             rospy.loginfo('~stop: released')
@@ -50,4 +50,4 @@ class Stop:
     def _set(self, holds: bool) -> None:
         self.holds = holds
         for link in self._links:
-            link.is_stopped = holds
+            link.session.is_stopped = holds

@@ -49,7 +49,7 @@ class Traffic(rospy.SubscribeListener):
         while True:
             with self._lock:
                 for link in self._links.values():
-                    link.tap = self._enqueue if is_wanted else None
+                    link.traffic.tap = self._enqueue if is_wanted else None
             # Not with the lock: this takes one of rospy, with which another thread may come here.
             before, is_wanted = is_wanted, self._is_wanted()
             if is_wanted == before:
@@ -60,7 +60,7 @@ class Traffic(rospy.SubscribeListener):
 
     def _enqueue(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:
-            self._queue.put((link, direction, frame, self._links[link].connection.number))
+            self._queue.put((link, direction, frame, self._links[link].reopening.count))
 
     def _run(self) -> None:
         while True:

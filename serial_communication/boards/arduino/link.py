@@ -4,11 +4,14 @@ from typing import Any, Callable, Iterable, Optional, Type
 
 from ...framing.layout import LayoutMessage
 from ...link.link import Link
+from ...link.outcome import Refused
 from ...link.sparing_log import SparingLog
 from ...transport.pace import clock
 from ...transport.port import Port
 from . import wire
 from .session import CarOptions, CarSession
+
+_LABEL = 60     # characters of a message in a refusal
 
 
 class ArduinoLink(Link):
@@ -66,7 +69,10 @@ class ArduinoLink(Link):
         Args:
             stamp: of its making, by the clock of the stamps; None: unknown.
         """
-        self.writer.submit(message, stamp)
+        try:
+            self.writer.submit(message, stamp)
+        except Refused as refused:
+            raise Refused(f'{f"{message}"[:_LABEL]} refused: {refused}', refused.cause) from None
 
     def add_motion(self, zero: LayoutMessage) -> None:
         """What this message ends is a motion: a row that moves something."""

@@ -55,6 +55,7 @@ class CarSession(Session):
 
     NAME = DESCRIPTION.name
     STOPS_FIRST = True
+    board_settings: BoardSettings
     BEATS = True
 
     def __init__(self, log: SparingLog, options: CarOptions = CarOptions(),
@@ -114,17 +115,16 @@ class CarSession(Session):
         except ValueError as error:
             reason = str(error)
         if reason:
-            raise Refused(f'{request.LABEL} refused: {reason}', 'value')
+            raise Refused(reason, 'value')
         calibrates = isinstance(request, wire.ImuCalibration)
         if request.ANNOUNCED:
             self.announcement.refuse_unless_current(f'{request}')
         if self.calibration:
-            raise Refused(f'{request} refused: {_CALIBRATES}', 'calibrating')
+            raise Refused(_CALIBRATES, 'calibrating')
         if self.is_stopped and self._moves(request):
-            raise Refused(f'{request} refused: {STOPPED}', 'stopped')
+            raise Refused(STOPPED, 'stopped')
         if self._line.waiting(now) > _LONGEST_BURST:
-            raise Refused(f'{request} refused: the line has not sent the commands before it',
-                          'busy')
+            raise Refused('the line has not sent the commands before it', 'busy')
         zeros = [motion.zero for motion in self._known() if calibrates and motion.moves]
         return self._packets([*zeros, request], now)
 

@@ -39,6 +39,7 @@ class SensorSession(Session):
     """
 
     NAME = 'mcu'
+    board_settings: BoardSettings
 
     def __init__(self, log: SparingLog, timeout: float = 1.0,
                  on_status: Callable[[Any, int, Any], None] = lambda message, seq, stamp: None,
