@@ -214,8 +214,6 @@ class OpenTty(_Polled):
         setattr(self._serial, line, not is_rts)
 
     def close(self) -> None:
-        with suppress(OSError, termios.error):     # else it waits up to 30 s for the output to leave
-            termios.tcflush(self._fd, termios.TCOFLUSH)
         self._lock(termios.TIOCNXCL)    # it would last while any other program has the tty open
         super().close()
 

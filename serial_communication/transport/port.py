@@ -18,6 +18,7 @@ from .open_port import OpenPort, open_port
 from .port_errors import PortBusy, PortError, explain
 from .urls import NETWORK, read_url
 
+_HELD = 0.1             # s of wire time; a tty with more to send when it closes is held
 _MOST_WAKES = 65536     # calls of `wake` that one read takes
 
 
@@ -128,12 +129,15 @@ class Port:
             raise PortError(explain(error)) from None
 
     def close(self) -> None:
-        """Close the port; what was written but not sent is dropped."""
+        """Close the port; what the other side does not take is dropped."""
         with self._lock:
+            is_held = bool(self._rest) or self.unsent() > self.baud / 10 * _HELD
             closing, self._opened = self._opened, None
             self._rest = b''
         if closing:
             with suppress(OSError, termios.error):
+                if is_held:     # else a tty waits up to 30 s for the output to leave
+                    closing.renew(keeps_input=False)
                 closing.close()
 
     def pause(self, seconds: float) -> None:

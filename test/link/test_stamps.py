@@ -1,5 +1,6 @@
 """Stamps of frames with the board's time: their values by given times."""
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -31,7 +32,7 @@ class Car:
         self.got = []
         self.link = ArduinoLink(Port('/dev/none'), logger=logger, on_message=lambda message, stamp:
                                 self.got.append((message, stamp)), **options)
-        self.link.port.byte_time = byte_time
+        self.link.port._opened = SimpleNamespace(has_baud=byte_time > 0.0)
         self.now = 100.0
         self.reset_at = 0.0
 
@@ -45,7 +46,7 @@ class Car:
         monotonic clock, of what it passes on."""
         self.got.clear()
         at = self.now + late
-        self.link.connection._receive(wire, at + AHEAD, at)
+        self.link.receiver.take(wire, at + AHEAD, at)
         return [stamp - AHEAD for _message, stamp in self.got]
 
     def measure(self, late=DELAY, behind=b''):
@@ -107,7 +108,7 @@ def test_the_clock_is_learnt_anew_after_the_port_was_opened_or_the_board_was_res
     car.settle()
     assert car.measure(0.02) < 0.01
     if forget == 'opened':
-        car.link.connection._begin()
+        car.link.receiver.reset()
     else:
         car.reset_at = car.now
     assert [car.measure(0.02) for _ in range(9)] == pytest.approx([0.02] * 9)
@@ -162,7 +163,7 @@ def test_a_step_of_the_clock_of_the_stamps_changes_no_difference(car):
     car.settle()
     car.now += PERIOD
     for step in 0.0, -3600.0, 1e9:
-        car.link.connection._receive(car.time(1) + arduino.encode(arduino.Ticks(1)),
+        car.link.receiver.take(car.time(1) + arduino.encode(arduino.Ticks(1)),
                                      car.now + 0.02 + step, car.now + 0.02)
         assert car.got[-1][1] == pytest.approx(car.now + step + DELAY, abs=2e-3)
         car.now += PERIOD
@@ -179,7 +180,7 @@ def test_a_board_without_time_has_the_stamps_of_its_reads_themselves(logger):
     for index in range(10 * LEAST_POINTS):
         stamp, at = object(), 100.0 + index * PERIOD + index % 3 / 100
         del got[:]
-        car.connection._receive(row, stamp, at)
-        sensors.connection._receive(mcu.encode(ADC, index), stamp, at)
+        car.receiver.take(row, stamp, at)
+        sensors.receiver.take(mcu.encode(ADC, index), stamp, at)
         assert len(got) == 3 and all(each is stamp for each in got)
     assert not any(key in KEYS for link in (car, sensors) for key, _ in link.report(at).values)

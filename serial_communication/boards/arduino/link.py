@@ -11,7 +11,7 @@ from ...transport.port import Port
 from . import wire
 from .session import CarOptions, CarSession
 
-_LABEL = 60     # characters of a message in a refusal
+_LABEL = 30     # characters of a message in a refusal
 
 
 class ArduinoLink(Link):

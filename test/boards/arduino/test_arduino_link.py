@@ -5,12 +5,13 @@ import pytest
 
 from steps import Steps
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.arduino.session import CarOptions
 from serial_communication.boards.arduino.wire import LedCommand, SpeedCommand, SteeringCommand
 from serial_communication.framing.layout import Value, message_class
-from serial_communication.link.link import Refused
+from serial_communication.link.session import Refused
 
-STEADY = ArduinoSettings(speed_timeout=0.0)       # no speed times out
+STEADY = CarOptions(speed_timeout=0.0)       # no speed times out
 STOP = arduino.encode(SpeedCommand(0))
 BEAT = arduino.encode(arduino.Heartbeat())
 GRIPPER = message_class('gripper', 48, '<hB', [Value('x', scale=0.1, maximum=100), Value('z')])
@@ -80,4 +81,4 @@ def test_implausible_values_are_dropped_only_if_checked(logger, check):
                 on_message=lambda message, stamp: got.append(message))
     car.give(arduino.encode(arduino.SteeringAngle(2000)) + arduino.encode(arduino.Ticks(1)))
     assert (arduino.SteeringAngle(2000) in got) != check and arduino.Ticks(1) in got
-    assert car.link.decoder.errors['implausible'] == check
+    assert car.link.traffic.errors['implausible'] == check
