@@ -33,7 +33,7 @@ OF_ALL: Invariants = (
     link.received_frames_are_tapped, link.bytes_are_counted, link.frames_are_counted,
     link.errors_are_counted, link.damage_is_counted, link.lost_frames_are_counted,
     link.stale_bytes_are_counted, link.conditions_are_true, link.a_loan_is_told,
-    link.a_silent_network_is_opened_again, link.data_returns_after_a_stall,
+    link.a_silent_network_is_opened_again,
     link.reconnects_are_counted, link.settings_of_the_port_are_restored, link.loans_are_fresh,
     link.announced_rows_are_in_use, link.wanted_settings_return,
     car.settings_wait_for_their_board, car.values_are_of_this_board,
@@ -51,7 +51,7 @@ OF_THE_BUS: Invariants = (
     bus.a_lost_synchronisation_is_restored, bus.refusals_are_confirmed,
     bus.calls_end_with_their_port, bus.a_board_without_echo_gets_no_call,
     bus.polls_do_not_pile_up, bus.calls_are_in_order, bus.calls_are_not_given_up,
-    bus.a_stop_ends_what_waits, bus.calls_do_not_wait_for_a_dead_board,
+    bus.a_stop_ends_what_waits,
     bus.refused_calls_are_repeated, bus.a_loan_waits_for_no_move, doubt.a_doubt_is_fenced,
     doubt.an_unheard_move_is_a_doubt)
 ALL: Invariants = OF_THE_CAR + OF_ALL + OF_THE_SENSORS + OF_THE_BUS
@@ -62,7 +62,7 @@ NOT_YET_KEPT: Invariants = (
     doubt.a_doubt_is_told, doubt.short_stalls_lose_nothing,
     doubt.standing_output_is_dropped, doubt.a_silent_pty_is_doubted,
     doubt.a_stall_drops_the_output, doubt.motions_begin_with_zero,
-    doubt.motions_time_out, doubt.motions_are_repeated, doubt.motions_end_first,
+    doubt.motions_stop, doubt.motions_end_first,
     doubt.motions_are_saturated, doubt.zeros_need_not_be_fresh,
     link.damage_does_not_bend_the_line, data.a_reset_begins_a_new_line)
 _OF = {'arduino': OF_THE_CAR, 'mcu': OF_THE_SENSORS, 'bus': OF_THE_BUS}

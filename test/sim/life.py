@@ -37,9 +37,6 @@ def live(seed: int, seconds: float = 25.0, hertz: float = 10.0) -> List[Story]:
     return stories
 
 
-# -- programs ---------------------------------------------------------------------------------
-
-
 def _command(story: Story, name: str, *values: Any) -> None:
     now = story.world.clock()
     refused = story.robot.command(name, *values)
@@ -171,9 +168,6 @@ def _borrow(story: Story) -> None:
     seconds = story.random.uniform(0.2, 3.0)
     now = story.world.clock()
     story.tasks.append((now, now + seconds, 'lend', story.robot.lend_or_reset(seconds)))
-
-
-# -- faults -----------------------------------------------------------------------------------
 
 
 def _suspend(stories: List[Story]) -> None:

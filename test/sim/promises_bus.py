@@ -343,19 +343,6 @@ def calls_are_not_given_up(e: Evidence) -> Verdicts:
             f'{called.name} of {begin:.3f} was given up at {end:.3f}: {called.told.text}'
 
 
-def calls_do_not_wait_for_a_dead_board(e: Evidence) -> Verdicts:
-    """While SYNC is not answered a call returns within 0.8 s."""
-    syncs = [frame.time for frame in e.of_type(e.readable, SYNC)]
-    for called in e.story.calls:
-        opened, closed = e.opening_of(called.time)
-        limit = called.time + 0.9
-        excused = closed < limit or opened > called.time or called.name == 'halt' or overlaps(
-            e.stalls[0], called.time, limit, 0.1)
-        if not any(opened <= each <= limit for each in syncs):
-            yield not excused, '' if excused or (called.ended or 1e9) <= limit else \
-                f'{called.name} of {called.time:.3f} ended at {called.ended}'
-
-
 def refused_calls_are_repeated(e: Evidence) -> Verdicts:
     """A call that the board refused with INVALID 0x40 or 0x10 is the next one that is sent, up to
     3 times, once an ECHO sent since has returned."""

@@ -83,8 +83,7 @@ def no_old_speed_arrives(e: Evidence) -> Verdicts:
         excused = overlaps(blocked, sent, frame.time, 0.1) and (
             kind != 'tty' or overlaps(e.stalls[1], sent, frame.time))
         yield not excused, '' if excused or frame.time <= sent + 0.7 else \
-            f'type {frame.type} {frame.data.hex()} of {sent:.3f} reached the board at ' \
-            f'{frame.time:.3f}'
+            f'type {frame.type} {frame.data.hex()} of {sent:.3f} came at {frame.time:.3f}'
 
 
 def speed_times_out(e: Evidence) -> Verdicts:
@@ -236,9 +235,6 @@ def announced_rows_wait(e: Evidence) -> Verdicts:
         chunks = [each for each in e.of_type(e.readable, ANNOUNCEMENT)
                   if opened <= each.time <= frame.time]
         yield 1, '' if chunks else f'type {frame.type} at {frame.time:.3f}, opened at {opened:.3f}'
-
-
-# -- commands -----------------------------------------------------------------------------------
 
 
 def _wire_value(name: str, value) -> bytes:

@@ -198,7 +198,7 @@ def settings_are_in_use(e: Evidence) -> Verdicts:
                     f'{name} is told as confirmed at {time:.3f}: wanted {wanted[-1]}, has {seen}'
 
 
-def _settings(name: str, value: float) -> bytes:
+def setting(name: str, value: float) -> bytes:
     """The data of a frame that sets this."""
     return struct.pack('<Bf', 1, value) if name == 'kp' else struct.pack('<BH', 2, int(value))
 
@@ -212,7 +212,7 @@ def settings_are_sent(e: Evidence) -> Verdicts:
     disturbed = e.stalls[0] + e.stalls[-1] + e.events('blocked', 'altered', 'unplugged', 'cut') + [
         (asked, until) for asked, until, _, _ in e.story.tasks] + e.events('silence')
     for index, (time, name, value) in enumerate(e.story.wants):
-        data, before = _settings(name, value), wants.get(name)
+        data, before = setting(name, value), wants.get(name)
         wants[name] = value
         opened, closed = e.opening_of(time)
         following = [at for at, each, _ in e.story.wants[index + 1:] if each == name][:1]

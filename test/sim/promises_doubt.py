@@ -24,9 +24,6 @@ def _stalls(e: Evidence, loop: int = 0) -> Iterator[Interval]:
             yield begin, end
 
 
-# -- motions ------------------------------------------------------------------------------------
-
-
 def motions_begin_with_zero(e: Evidence) -> Verdicts:
     """All zeros go out before the first heartbeat of an opening and after a stall; that of an
     announced row as soon as its announcement counts."""
@@ -55,14 +52,11 @@ def _calibrates(e: Evidence, time: float) -> bool:
     return bool(states and states[-1])
 
 
-def motions_time_out(e: Evidence) -> Verdicts:
-    """The zero of a motion within speed_timeout + 50 ms of its last command."""
-    return times_out(e, DRIVE)
-
-
-def motions_are_repeated(e: Evidence) -> Verdicts:
-    """A zero that ends a motion is repeated every 50 ms for 1 s, or until another command of it."""
-    return repeated(e, DRIVE)
+def motions_stop(e: Evidence) -> Verdicts:
+    """The zero of a motion within speed_timeout + 50 ms of its last command; a zero that ends a
+    motion is repeated every 50 ms for 1 s, or until another command of it."""
+    yield from times_out(e, DRIVE)
+    yield from repeated(e, DRIVE)
 
 
 def motions_end_first(e: Evidence) -> Verdicts:
@@ -98,9 +92,6 @@ def zeros_need_not_be_fresh(e: Evidence) -> Verdicts:
         if command.value in (0, (0.0, 0.0)) and command.name != 'led':
             yield 1, '' if command.refused != 'stall' else \
                 f'{command.name} 0 of {command.time:.3f} was refused as from a stall'
-
-
-# -- doubts -------------------------------------------------------------------------------------
 
 
 def a_port_closes_for_a_cause(e: Evidence) -> Verdicts:
@@ -267,10 +258,6 @@ def short_stalls_lose_nothing(e: Evidence) -> Verdicts:
         if not overlaps(stalls, command.time, command.time, FRESH + 0.1):
             yield 1, '' if command.refused != 'stall' else \
                 f'{command.name} of {command.time:.3f} was refused as from a stall'
-    for called in e.story.calls:
-        if called.ended and not overlaps(stalls, called.time, called.ended, FRESH + 0.1):
-            yield 1, '' if not called.told or 'stalled' not in called.told.text else \
-                f'{called.name} of {called.time:.3f} was refused as from a stall'
 
 
 def standing_output_is_dropped(e: Evidence) -> Verdicts:

@@ -5,8 +5,8 @@ from typing import Any, Callable, Iterator, Set, Tuple
 
 from by_definition import arduino_at, decode, mcu_at, reply_at, request_at
 from evidence import FRAME_TIMEOUT, Evidence, longer, merged, overlaps
-from promises import FRESH, IMU, SETTING, SLACK, STALL, Verdicts
-from promises_data import ALL_NAMES, LAYOUTS, are_implausible
+from promises import FRESH, HEARTBEAT, IMU, SETTING, SLACK, STALL, Verdicts
+from promises_data import LAYOUTS, are_implausible, setting
 
 _RX, _TX = 0, 1
 _MCU_LENS = {0x10: 12, 0x01: 14, 0xFE: 6}
@@ -70,8 +70,15 @@ def bytes_are_counted(e: Evidence) -> Verdicts:
 
 
 def frames_are_counted(e: Evidence) -> Verdicts:
-    """`frames received` and `frames sent` are those of the tap; calm, those of the line."""
+    """`frames received` and `frames sent` are those of the tap; calm, those of the line; and so are
+    `heartbeats sent`."""
+    beats, whole = e.of_type(e.wrote, HEARTBEAT), not e.events('blocked', 'unplugged', 'cut')
     for time, report, read, wrote, tapped, _ in e.story.counted:
+        for name, sent in ('frames sent', e.wrote), ('heartbeats sent', beats):
+            if name in report and whole and not overlaps(e.suspended, time, time, 0.02):
+                count = sum(frame.time <= time for frame in sent)
+                yield 1, '' if report[name] == count else \
+                    f'{name} at {time:.3f}: {report[name]}, written {count}'
         frames = e.story.robot.tapped[:tapped]
         for name, direction in (('frames received', _RX), ('frames sent', _TX)) if frames else ():
             count = sum(each == direction and not cause for each, _, cause in frames)
@@ -105,8 +112,8 @@ def damage_is_counted(e: Evidence) -> Verdicts:
     """What is damaged is counted once, by its cause: the counts are those that the definition of
     the protocol gives."""
     device, sent = e.story.device, {(each.type, each.number, each.data) for each in e.sent}
-    # A stall, and the loss of a port, drop what is not counted yet. Of noise that comes byte by byte
-    # it depends on the read when it is given up.
+    # A stall, and the loss of a port, drop what is not counted yet. When noise that comes byte by
+    # byte is given up, depends on the reads.
     end = min([begin for begin, _ in e.stalls[0] + e.events('altered', 'unplugged', 'cut')]
               + [each.begin for each in e.story.events if each.value == b'']
               + device.closings + [asked for asked, *_ in e.story.tasks] + [float('inf')])
@@ -304,21 +311,6 @@ def a_silent_network_is_opened_again(e: Evidence) -> Verdicts:
                     f'nothing was read from {last:.3f} to {following:.3f}, and it stayed open'
 
 
-def data_returns_after_a_stall(e: Evidence) -> Verdicts:
-    """Data is published again within 1 s of a stall's end."""
-    if e.kind == 'bus':
-        return
-    said = [time for time, name, _, _ in e.story.robot.published if name in ALL_NAMES]
-    for begin, end in longer(merged(e.stalls[0]), STALL):
-        limit = end + 1.0
-        heard = sum(limit - 0.35 < frame.time <= limit for frame in e.read)
-        excused = heard < 3 or e.opening_of(limit)[0] > end + 0.3 or overlaps(
-            [each for each in merged(e.stalls[0]) if each[1] > end], end, limit, 0.5) or any(
-                e.story.device.damage_received) or e.story.announces
-        yield not excused, '' if excused or any(end < each <= limit for each in said) else \
-            f'nothing from the stall of {begin:.3f} until {end:.3f} to {limit:.3f}'
-
-
 def reconnects_are_counted(e: Evidence) -> Verdicts:
     """`reconnects` is how often the port was opened again."""
     openings = e.story.device.openings
@@ -387,17 +379,14 @@ def wanted_settings_return(e: Evidence) -> Verdicts:
             boot < each <= heard + 1.0 for each in boots)
         if excused or heard == float('inf'):
             continue
-        for name, number, layout in ('kp', 1, '<f'), ('limit', 2, '<H'):
+        for name in 'kp', 'limit':
             values = [value for at, each, value in story.wants if each == name and at <= boot]
             later = [at for at, each, _ in story.wants if each == name and boot < at < heard + 1.0]
             if values and not later:
-                data = bytes((number,)) + struct.pack(layout, values[-1])
+                data = setting(name, values[-1])
                 yield 1, '' if any(frame.data == data and boot < frame.time <= heard + 1.0 for frame
                                    in e.of_type(e.got, SETTING)) else \
                     f'{name} {values[-1]} is not back after the reset of {boot:.3f}'
-
-
-# -- of the next version ------------------------------------------------------------------------
 
 
 def damage_does_not_bend_the_line(e: Evidence) -> Verdicts:
