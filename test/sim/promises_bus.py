@@ -19,7 +19,8 @@ def calls_are_told_the_truth(e: Evidence) -> Verdicts:
             continue
         # The line may double a request; the bridge must not.
         written = sum((frame.type, frame.number, frame.data) == request for frame in e.wrote)
-        called, times = group[0], min(len(executed.get(request, ())), written)
+        # What the line has doubled is executed at the same time.
+        called, times = group[0], min(len(set(executed.get(request, ()))), written)
         answer = told(called)
         right = {'done': times == 1, 'refused': times == 0, 'answered': times <= 1,
                  'not known': times <= 1, 'nothing': times <= 1}[answer]
@@ -248,7 +249,8 @@ def polls_go_on(e: Evidence) -> Verdicts:
     """A poll that was answered is followed by the next one a period later, while no call is there;
     whatever happens to one, the polls go on."""
     period, sent = e.story.parameters['environment_period'], [each.time for each in _polls(e)]
-    busy = [(called.time, called.ended or float('inf')) for called in e.story.calls]
+    busy = [(called.time, called.ended or float('inf')) for called in e.story.calls] + [
+        (frame.time, frame.time + 0.6) for frame in e.wrote if frame.number == HALT]
     faults = [(event.begin, event.end) for event in e.story.events if event.name != 'stop']
     noisy = any(e.story.device.damage_sent) or any(e.story.device.damage_received)
     answers = [frame.time for frame in e.of_type(e.read, OK) if len(frame.data) == 6]
