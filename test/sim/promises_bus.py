@@ -348,30 +348,36 @@ def calls_are_not_given_up(e: Evidence) -> Verdicts:
 def refused_calls_are_repeated(e: Evidence) -> Verdicts:
     """A call that the board refused with INVALID 0x40 or 0x10 is the next one that is sent, up to
     3 times, once an ECHO sent since has returned."""
-    if not e.story.parameters['echo'] or any(e.story.device.damage_received):
+    if not e.story.parameters['echo']:
         return
     functions = [frame for frame in _plain(e) if frame.type == FUNCTION and frame.number != 0xFF]
-    replies = e.of_type(e.read, OK, INVALID, 0x03)
-    calls = {called.request: called for called in e.story.calls if called.name in _NUMBERED}
+    asked = [called.request for called in e.story.calls]
+    calls = {called.request: called for called in e.story.calls
+             if called.name != 'environment' and asked.count(called.request) == 1}
+    halts = [(each, each) for each in e.story.stopped_at] + [
+        (called.time, called.time) for called in e.story.calls if called.name == 'halt']
+    faults = e.stops + e.events('blocked', 'silence', 'reset', 'altered', 'unplugged', 'cut')
     for refusal in e.of_type(e.read, INVALID):
-        before = [frame for frame in _plain(e) if frame.time <= refusal.time]
-        request = (before[-1].type, before[-1].number, before[-1].data) if before else None
-        called = calls.get(request)     # type: ignore[arg-type]
-        if called is None or refusal.data[:1] not in (b'\x40', b'\x10') or any(
-                before[-1].time <= each.time < refusal.time for each in replies):
+        before = [frame for frame in _plain(e) if frame.time <= refusal.time][-1:]
+        tries = [each for each in functions if before and each.time <= refusal.time
+                 and each[1:4] == before[0][1:4]]
+        called = calls.get(tries[-1][1:4]) if tries else None
+        if called is None or tries[-1] is not before[0] or refusal.data[:1] not in b'\x40\x10':
             continue
         following = next((frame for frame in functions if frame.time > refusal.time), None)
         limit = following.time if following else float('inf')
-        excused = len([each for each in functions if (each.type, each.number, each.data)
-                       == request and each.time <= refusal.time]) >= 3 or overlaps(
-            [(other.time, other.time) for other in e.story.calls if other.name == 'halt']
-            + [(each, each) for each in e.story.stopped_at] + e.events(
-                'stop', 'noise', 'blocked', 'silence', 'reset', 'altered', 'unplugged', 'cut')
-            + e.stalls[0], refusal.time - 0.6, min(limit, refusal.time + 5.0), 0.6) \
-            or e.opening_of(refusal.time)[1] < limit or called.name != 'raw' and e.story.announces \
-            or any(refusal.time <= each.time <= limit for each in replies if each is not refusal)
-        yield not excused, '' if excused or following and (
-            following.type, following.number, following.data) == request else \
+        # Nothing else came: neither another reply nor noise.
+        replies = [frame for frame in e.read if before[0].time < frame.time <= limit]
+        size = sum(len(chunk.data) for chunk in e.story.device.bridge_read
+                   if before[0].time < chunk.time <= limit)
+        excused = len(tries) >= 3 or overlaps(
+            halts + faults + e.stalls[0], refusal.time - 0.6, min(limit, refusal.time + 5.0), 0.6) \
+            or e.opening_of(refusal.time)[1] < limit or size != sum(
+                len(frame.data) + 4 for frame in replies) or any(
+                frame.type == OK or frame.type == INVALID and frame is not refusal
+                for frame in replies) or refusal.time > called.time + 4.0 \
+            or called.name in ('press', 'level') and e.story.announces
+        yield not excused, '' if excused or following and following[1:4] == before[0][1:4] else \
             f'{called.name} of {called.time:.3f}, refused at {refusal.time:.3f}, was not repeated'
 
 
