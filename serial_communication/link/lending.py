@@ -5,14 +5,14 @@ from typing import Callable, Deque, Optional, Tuple
 
 from ..framing.layout import readable
 from ..transport.port import Loan, Port, PortError
-from .outcome import LOOK, NOT_SENT, TIMEOUT, Outcome, Refused
+from .outcome import LOOK, Refused
 
 LONGEST_LOAN = 10.0    # s, from each call
 _LONGEST_NAME = 60     # characters
 STALLED = 'the call may have waited while the bridge stalled; call again'
 _PATIENCE = 1.5        # s for the link's thread to do a task, and to close the port
 
-Answer = Tuple[bool, str]     # whether it was done; what was done, or an `Outcome.text`: why not
+Answer = Tuple[bool, str]     # whether it was done; what was done, or why not
 
 
 class Task:
@@ -35,8 +35,8 @@ class Task:
     def wait(self) -> Answer:
         """Wait for the answer; a task that has not begun by then is not done any more."""
         if not self._done.wait(_PATIENCE):
-            self.finish((False, Outcome(TIMEOUT, 'the link did not confirm it in time, since its '
-                                        f'port is just being opened or closed; {LOOK}').text))
+            self.finish((False, 'the link did not confirm it in time, since its port is just '
+                         f'being opened or closed; {LOOK}'))
         assert self.answer
         return self.answer
 
@@ -162,4 +162,4 @@ class Lending:
 
 
 def _refused(why: str) -> Answer:
-    return False, Outcome(NOT_SENT, why).text
+    return False, why

@@ -6,7 +6,6 @@ from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse
 
 from ..link.lending import STALLED
 from ..link.link import Link
-from ..link.outcome import NOT_SENT, Outcome
 
 
 class Stop:
@@ -41,7 +40,7 @@ class Stop:
 
     def _release(self) -> SetBoolResponse:
         if any(link.connection.may_be_from_a_stall() for link in self._links):
-            return SetBoolResponse(False, Outcome(NOT_SENT, STALLED).text)
+            return SetBoolResponse(False, STALLED)
         if self.holds:
             rospy.loginfo('~stop: released')
         self._set(False)

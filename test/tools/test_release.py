@@ -5,7 +5,6 @@ import pytest
 import rosgraph
 
 from serial_communication.link import lending
-from serial_communication.link.lending import STALLED
 from serial_communication.link.outcome import Verdict
 from serial_communication.tools.release import cli
 from serial_communication.tools.watch.calls import Answer
@@ -26,22 +25,18 @@ def test_a_device_of_another_machine_is_not_the_one_of_that_name_here(monkeypatc
         cli._device('/bridge', 'arduino')
 
 
-def test_a_loan_that_is_refused_after_a_stall_is_asked_for_again(monkeypatch):
-    """Any other refusal is told at once."""
-    stalled = Answer(Verdict.REFUSED, f'not sent: {STALLED}')
+def test_a_loan_that_is_refused_is_asked_for_again_for_a_while(monkeypatch):
+    """The bridge may refuse it because it stalled."""
     lent, refused = Answer(Verdict.DONE, 'lent'), Answer(Verdict.REFUSED, 'not now: lift up 2 mm')
     monkeypatch.setattr(cli, '_AGAIN', 0.0)
-    for answers, why_not in (([stalled, stalled, lent], ''), ([stalled, refused], refused.words),
-                             ([refused], refused.words)):
-        left = list(answers)
-        monkeypatch.setattr(cli, 'call', lambda *_arguments, left=left: left.pop(0))
-        loan = cli._Loan('/bridge/arduino/release', 'me')
-        assert loan.begin() == why_not and left == []
-        left.append(lent)       # it is given back
-        loan.end()
+    left = [refused, refused, lent, lent]       # the last one gives it back
+    monkeypatch.setattr(cli, 'call', lambda *_arguments: left.pop(0))
+    loan = cli._Loan('/bridge/arduino/release', 'me')
+    assert loan.begin() == ''
+    loan.end()
     monkeypatch.setattr(cli, '_AGAIN_FOR', 0.0)
-    monkeypatch.setattr(cli, 'call', lambda *_arguments: stalled)
-    assert STALLED in cli._Loan('/bridge/arduino/release', 'me').begin()
+    monkeypatch.setattr(cli, 'call', lambda *_arguments: refused)
+    assert cli._Loan('/bridge/arduino/release', 'me').begin() == refused.words
 
 
 def test_two_releases_of_a_program_with_a_long_name_are_two_borrowers(monkeypatch, tmp_path):
