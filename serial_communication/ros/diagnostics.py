@@ -1,7 +1,6 @@
 """Publishes /diagnostics: one status for each link, once a second by the monotonic clock."""
 import logging
 import threading
-import time
 from typing import Any, Callable, Iterable
 
 import rospy
@@ -9,7 +8,6 @@ from diagnostic_updater import Updater
 
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
-from ..transport.pace import Every
 
 _PERIOD = 1.0   # s
 
@@ -40,16 +38,14 @@ class Diagnostics:
         self._stopping.set()
 
     def _run(self) -> None:
-        pace = Every(_PERIOD, time.monotonic() - _PERIOD)       # the first one at once
-        while not self._stopping.wait(max(0.0, pace.due - time.monotonic())):
-            if not pace.passed(time.monotonic()):
-                continue
+        while True:
             for updater in self._updaters:
                 try:
-                    # update() would count in ROS time, which may stop.
-                    updater.force_update()
+                    updater.force_update()      # update() would count in ROS time, which may stop
                 except Exception as error:  # pylint: disable=broad-except
                     log_fault(self._log, error)
+            if self._stopping.wait(_PERIOD):
+                return
 
 
 def log_fault(log: SparingLog, error: Exception) -> None:

@@ -1,12 +1,11 @@
-"""The command line, a forced end of the process, and lines that are printed before it can log."""
+"""The command line of the node, and a forced end of the process."""
 import os
-import queue
 import re
 import sys
 import threading
-import time
+from contextlib import suppress
 from pathlib import Path
-from typing import Callable, List
+from typing import List
 
 NAME_TAKEN = 3            # exit status if a node of the same name is running
 WRONG_ARGUMENTS = 2       # exit status
@@ -35,25 +34,15 @@ def check_arguments(arguments: List[str]) -> None:
         sys.exit(0)
     for argument in arguments:
         if not _ARGUMENT.match(argument):
-            print(f'{_PROGRAM}: unknown argument {argument!r}\n{_USAGE}', end='',
-                  file=sys.stderr)
+            print(f'{_PROGRAM}: unknown argument {argument!r}\n{_USAGE}', end='', file=sys.stderr)
             sys.exit(WRONG_ARGUMENTS)
 
 
-def last_resort(seconds: float) -> Callable[[int], None]:
-    """Return a function that ends the process so many seconds later with a status, whatever hangs.
-
-    Only its first call counts. A handler of a signal may call it.
-    """
-    statuses: 'queue.SimpleQueue[int]' = queue.SimpleQueue()
-
-    def run() -> None:
-        status = statuses.get()
-        time.sleep(seconds)
-        os._exit(status)
-
-    threading.Thread(target=run, name='last resort', daemon=True).start()
-    return statuses.put
+def end_within(seconds: float, status: int) -> None:
+    """End the process so many seconds later, whatever hangs; the first call counts."""
+    timer = threading.Timer(seconds, os._exit, [status])
+    timer.daemon = True
+    timer.start()
 
 
 def empty_ports() -> List[str]:
@@ -62,18 +51,14 @@ def empty_ports() -> List[str]:
     roslaunch drops an argument without a value, so its launch file cannot see it. Here it is read
     from the command line of the roslaunch above this process, if that started bridge.launch.
     """
-    try:
+    with suppress(OSError, ValueError):
         words = Path(f'/proc/{os.getppid()}/cmdline').read_text().split('\0')
-    except (OSError, ValueError):
-        return []
-    if not any(os.path.basename(word) == 'bridge.launch' for word in words):
-        return []
-    return [word[:-len('_port:=')] for word in words if word.endswith('_port:=')]
+        if 'bridge.launch' in map(os.path.basename, words):
+            return [word[:-len('_port:=')] for word in words if word.endswith('_port:=')]
+    return []
 
 
 def say(text: str) -> None:
     """Print to stderr, since rospy does not log yet; ignore a stream that cannot be written."""
-    try:
+    with suppress(OSError, ValueError):
         print(f'{_PROGRAM}: {text}', file=sys.stderr, flush=True)
-    except (OSError, ValueError):
-        pass

@@ -2,7 +2,7 @@
 import logging
 import queue
 import threading
-from typing import Any, Callable, Iterable, Tuple
+from typing import Iterable, Tuple
 
 import rospy
 
@@ -15,48 +15,22 @@ from .diagnostics import log_fault
 from .publishing import publisher, wanted
 
 _QUEUED = 2000   # frames that may wait for the thread; newer ones are dropped
+_LOOK = 0.2      # s until it looks again for subscribers, while there are no frames
 
 
-class Traffic(rospy.SubscribeListener):
+class Traffic:
     """Publishes from a separate thread, so that subscribers do not slow down the links.
 
     Without subscribers, the links do not pass their frames on at all.
     """
 
     def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
-        super().__init__()
-        self._lock = threading.Lock()
         self._log = SparingLog('serial_msg', logger)
         self._links = {link.name: link for link in links}
         # put() never blocks.
         self._queue: 'queue.SimpleQueue[Tuple[str, int, Frame, int]]' = queue.SimpleQueue()
+        self._topic = publisher('serial_msg', SerialMsg)
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
-        self._topic: Any = None      # rospy may call the listener before it has returned this
-        self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
-        self._update()     # rospy adds the listener after others may have subscribed
-
-    def peer_subscribe(self, topic_name: str, topic_publish: Callable,
-                       peer_publish: Callable) -> None:
-        """Pass on the frames of all links; called by rospy."""
-        self._update()
-
-    def peer_unsubscribe(self, topic_name: str, num_peers: int) -> None:
-        """Stop that if there is no subscriber left; called by rospy."""
-        self._update()
-
-    def _update(self) -> None:
-        is_wanted = self._is_wanted()    # num_peers is counted before others may have subscribed
-        while True:
-            with self._lock:
-                for link in self._links.values():
-                    link.tap = self._enqueue if is_wanted else None
-            # Not with the lock: this takes one of rospy, with which another thread may come here.
-            before, is_wanted = is_wanted, self._is_wanted()
-            if is_wanted == before:
-                return
-
-    def _is_wanted(self) -> bool:
-        return self._topic is not None and wanted(self._topic)
 
     def _enqueue(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:
@@ -64,8 +38,13 @@ class Traffic(rospy.SubscribeListener):
 
     def _run(self) -> None:
         while True:
+            tap = self._enqueue if wanted(self._topic) else None
+            for link in self._links.values():
+                link.tap = tap
             try:
-                self._publish(*self._queue.get())
+                self._publish(*self._queue.get(timeout=_LOOK))
+            except queue.Empty:
+                pass
             except Exception as error:  # pylint: disable=broad-except
                 log_fault(self._log, error)
 
