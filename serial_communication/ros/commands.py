@@ -16,11 +16,6 @@ from ..link.sparing_log import SparingLog
 _MOST_PUBLISHERS = 1000     # names to remember; each call of rostopic has a new one
 
 
-def header_of(message: Any) -> Dict[str, str]:
-    """Return the header of the connection on which a message came: one object for each."""
-    return getattr(message, '_connection_header', {})
-
-
 class NewestConnections:
     """Finds the messages of connections whose publisher has made a newer one."""
 
@@ -105,7 +100,7 @@ class CommandTopic:
             self._log.warn(f'{self._name} refused', f'{self._name} refused: {error}')
 
     def _refuse_if_old(self, message: Any, connections: NewestConnections) -> None:
-        connection = header_of(message)
+        connection = message._connection_header     # one object for each connection
         sender = connection.get('callerid', '')
         if connections.is_replaced(connection):
             raise Refused(f'{self._label(message)} refused: it was received on an old connection '

@@ -109,7 +109,7 @@ def _run(name: str) -> int:
 def _start() -> None:
     given = _given()
     values, warnings = parameters.check(given, rospy.get_name())
-    forget_announced(given, [board.NAME for board in parameters.announcing(values['boards'])])
+    forget_announced(given, [board.NAME for board in values['boards']])
     for warning in warnings:
         rospy.logwarn(warning)
     bridge = Bridge(values, given, parameters.resolved_names(values, given))

@@ -53,7 +53,7 @@ def empty_ports() -> List[str]:
     """
     with suppress(OSError, ValueError):
         words = Path(f'/proc/{os.getppid()}/cmdline').read_text().split('\0')
-        if 'bridge.launch' in map(os.path.basename, words):
+        if any(os.path.basename(word) == 'bridge.launch' for word in words):
             return [word[:-len('_port:=')] for word in words if word.endswith('_port:=')]
     return []
 

@@ -27,18 +27,12 @@ class Stop:
 
     def _handle(self, request: SetBoolRequest) -> SetBoolResponse:
         if request.data:
-            return self._stop()
-        return self._release()
-
-    def _stop(self) -> SetBoolResponse:
-        self._set(True)      # of all links first: from now on nothing moves again
-        failures = [f'{link.name}: {failure}' for link in self._links
-                    for failure in [link.stop_motion()] if failure]
-        rospy.logwarn('~stop: all that moves is stopped until ~stop is called with data: false'
-                      + ''.join(f'; {failure}' for failure in failures))
-        return SetBoolResponse(not failures, '; '.join(failures) or 'stopped')
-
-    def _release(self) -> SetBoolResponse:
+            self._set(True)      # of all links first: from now on nothing moves again
+            failures = [f'{link.name}: {failure}' for link in self._links
+                        for failure in [link.stop_motion()] if failure]
+            rospy.logwarn('~stop: all that moves is stopped until ~stop is called with data: '
+                          + '; '.join(['false', *failures]))
+            return SetBoolResponse(not failures, '; '.join(failures) or 'stopped')
         if any(link.connection.may_be_from_a_stall() for link in self._links):
             return SetBoolResponse(False, STALLED)
         if self.holds:

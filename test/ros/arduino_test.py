@@ -1,7 +1,6 @@
 #!/usr/bin/python3
 """The arduino link: measurements with their exact values, commands with their exact bytes, the
 heartbeat, the speed timeout, the calibration and the board's log lines."""
-import re
 import unittest
 
 import rospy
