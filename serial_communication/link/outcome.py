@@ -1,10 +1,8 @@
 """The outcome of a call: a value, until it reaches a response."""
-import enum
 from typing import Any, NamedTuple
 
 # A status is the CMD1 of a reply on the bus, or one of the two that the bridge adds.
 _DONE = (0x00, 0x01, 0x02)      # SYNC, ECHO, OK
-_ERROR, _INVALID = 0x03, 0xFF
 NOT_SENT = 253     # refused by the bridge: nothing was sent
 TIMEOUT = 254      # not known: executed once or not at all, unless it may be repeated
 LOOK = 'check the robot before you repeat it'   # advice where the outcome is not known
@@ -20,14 +18,6 @@ class Refused(Exception):
         self.cause = cause      # in a word or two; lines with the same one are logged sparingly
 
 
-class Verdict(enum.Enum):
-    """Whether a call was executed."""
-
-    DONE = 'done'              # executed; exactly once, unless it may be repeated
-    REFUSED = 'refused'        # not executed
-    NOT_KNOWN = 'not known'    # executed once or not at all, unless it may be repeated
-
-
 class Outcome(NamedTuple):
     """The outcome of a call, as it is returned to the caller."""
 
@@ -41,10 +31,5 @@ class Outcome(NamedTuple):
 
     @property
     def success(self) -> bool:
-        """Whether it was executed, as `Verdict.DONE`, with a reply as expected."""
+        """Whether it was executed, with a reply as expected."""
         return self.status in _DONE and self.as_expected
-
-
-def verdict_of_failure(status: int) -> Verdict:
-    """The verdict on a call that failed with this status."""
-    return Verdict.REFUSED if status in (NOT_SENT, _ERROR, _INVALID) else Verdict.NOT_KNOWN

@@ -1,6 +1,7 @@
 """Publishes /diagnostics: one status for each link, once a second by the monotonic clock."""
 import logging
 import threading
+import time
 from typing import Any, Callable, Iterable
 
 import rospy
@@ -26,16 +27,10 @@ class Diagnostics:
             updater.setHardwareID(link.port.url)
             updater.add(link.name + ' link', _task(link))
             self._updaters.append(updater)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='diagnostics', daemon=True)
 
     def start(self) -> None:
         """Start publishing."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop publishing."""
-        self._stopping.set()
+        threading.Thread(target=self._run, name='diagnostics', daemon=True).start()
 
     def _run(self) -> None:
         while True:
@@ -44,8 +39,7 @@ class Diagnostics:
                     updater.force_update()      # update() would count in ROS time, which may stop
                 except Exception as error:  # pylint: disable=broad-except
                     log_fault(self._log, error)
-            if self._stopping.wait(_PERIOD):
-                return
+            time.sleep(_PERIOD)
 
 
 def log_fault(log: SparingLog, error: Exception) -> None:

@@ -6,15 +6,13 @@ import threading
 import time
 import xmlrpc.client
 from contextlib import suppress
-from typing import Any, Callable, Mapping, Optional
+from typing import Any, Callable, Mapping
 
 import rosgraph
 import rospy
 
-_PATIENCE = 1.0                            # s for an answer
-_ASK_EVERY = 0.1                           # s
-_FIRST_REPORT, _REPORT_EVERY = 1.0, 10.0   # s of waiting
-_WATCH_EVERY = 3.0                         # s
+_PATIENCE = 1.0        # s for an answer
+_WATCH_EVERY = 3.0     # s
 
 
 class _Transport(xmlrpc.client.Transport):
@@ -26,36 +24,12 @@ class _Transport(xmlrpc.client.Transport):
         return connection
 
 
-def _ask(uri: str, question: str, *arguments: str) -> Any:
+def ask(uri: str, question: str, *arguments: str) -> Any:
     """Return the answer of a master or a node; None for a failure. A server that is starting or
     ending, or is another program, may raise anything."""
     server = xmlrpc.client.ServerProxy(uri, _Transport())
     code, _text, value = getattr(server, question)(rospy.get_name(), *arguments)
     return value if code == 1 else None
-
-
-def wait_for_master(stopping: Optional[threading.Event] = None,
-                    say: Callable[[str], None] = lambda _text: None,
-                    patience: float = float('inf')) -> bool:
-    """Wait for a ROS master, for `patience` s at most; return whether one answers.
-
-    Args:
-        stopping: ends the waiting when set.
-        say: called with a line of text after 1 s, then every 10 s.
-    """
-    stopping = stopping or threading.Event()
-    uri, began = rosgraph.get_master_uri(), time.monotonic()
-    due = began + _FIRST_REPORT
-    while not stopping.is_set() and time.monotonic() < began + patience:
-        with suppress(Exception):
-            _ask(uri, 'getPid')
-            return True
-        if time.monotonic() >= due:
-            say(f'waiting for the ROS master at {uri}; start one with roscore, or set '
-                'ROS_MASTER_URI')
-            due = time.monotonic() + _REPORT_EVERY
-        stopping.wait(_ASK_EVERY)
-    return False
 
 
 def full_name(default: str) -> str:
@@ -75,8 +49,8 @@ def running_node(name: str) -> str:
     A killed or suspended node does not count, nor does another process at a dead node's address.
     """
     with suppress(Exception):
-        uri = _ask(rosgraph.get_master_uri(), 'lookupNode', name)
-        if uri and _ask(uri, 'getName') == name:
+        uri = ask(rosgraph.get_master_uri(), 'lookupNode', name)
+        if uri and ask(uri, 'getName') == name:
             return uri
     return ''
 
@@ -95,7 +69,7 @@ def _watch(on_new: Callable[[], None]) -> None:
     uri, first = rosgraph.get_master_uri(), None
     while True:
         with suppress(Exception):
-            pid, node = _ask(uri, 'getPid'), _ask(uri, 'lookupNode', rospy.get_name())
+            pid, node = ask(uri, 'getPid'), ask(uri, 'lookupNode', rospy.get_name())
             first = first or pid
             if not node or pid != first:    # a topic made since may be registered at a new one
                 break

@@ -28,8 +28,7 @@ from .diagnostics import Diagnostics, log_fault
 from .geometry import publish_mounts
 from .interface import LinkOptions
 from .latest_worker import LatestWorker
-from .master import (full_name, restart, running_node, started_by_roslaunch, wait_for_master,
-                     watch_master)
+from .master import full_name, restart, running_node, started_by_roslaunch, watch_master
 from .parameter import ParameterError
 from .settings import PARAMETER as SETTINGS
 from .settings import PAUSE as SETTINGS_PAUSE
@@ -57,8 +56,6 @@ def main() -> None:
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     name = full_name(_NAME)
-    if name != f'/{_NAME}':     # one of several robots: its lines have its name
-        os.environ.setdefault('ROSCONSOLE_FORMAT', '[${severity}] [${time}] ${node}: ${message}')
     for number in signal.SIGINT, signal.SIGTERM:    # until rospy has handlers
         signal.signal(number, signal.default_int_handler)
     rospy.on_shutdown(partial(starting.end_within, _LAST_RESORT, 0))
@@ -75,12 +72,11 @@ def main() -> None:
 
 
 def _run(name: str) -> int:
-    wait_for_master(say=starting.say)
     address = running_node(name)
     if address:
-        starting.say(f'{name} is already running ({address}); end that node first (rosnode kill '
-                     f'{name}), or give this one another name (name:=NAME for the launch file, '
-                     '__name:=NAME for the node)')
+        print(f'{name} is already running ({address}); end that node first (rosnode kill {name}), '
+              'or give this one another name (name:=NAME for the launch file, __name:=NAME for the '
+              'node)', file=sys.stderr)
         if started_by_roslaunch():
             time.sleep(_AGAIN)
         return starting.NAME_TAKEN
@@ -175,9 +171,10 @@ class Bridge:
                         f'off, because no port is set: {", ".join(off)} (bridge.launch: if a port '
                         'is given as an argument, links without a port argument are off)')
         boards = [(board, values) for board, values in boards if values['port']]
-        self._interfaces = [board(values, link_options) for board, values in boards]
-        for interface, (_, values) in zip(self._interfaces, boards):
-            interface.link.lending.line = values['reset_line']
+        self._interfaces = []
+        for board, values in boards:
+            self._interfaces.append(board(values, link_options))
+            self._interfaces[-1].link.lending.line = values['reset_line']
         self._links = sorted((interface.link for interface in self._interfaces),
                              key=lambda link: not link.STOPS_FIRST)
         self._mounts = publish_mounts(p['base_frame_id'], {
@@ -218,7 +215,6 @@ class Bridge:
         deadline = time.monotonic() + _SHUTDOWN
         for link in self._links:
             link.join(max(0.0, deadline - time.monotonic()))
-        self._diagnostics.stop()
         # After its socket is closed, rospy's server thread runs in a busy loop. With real-time
         # priority it would keep the processor from the threads that it waits for. Also, a process
         # that replaces this one (execve) would inherit the priority.

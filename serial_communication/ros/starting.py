@@ -14,11 +14,8 @@ _ARGUMENT = re.compile(r'[\w~/]+:=')    # ROS: a remapping, a parameter, or a sp
 _USAGE = f"""\
 usage: {_PROGRAM} [__name:=NAME] [__ns:=NAMESPACE] [_PARAMETER:=VALUE …] [OLD:=NEW …]
 
-The node that connects the serial links of a robot to ROS. It takes ROS's arguments only;
-config/bridge.yaml documents its parameters. Some ways to start it:
-  roslaunch serial_communication bridge.launch --ros-args     list the launch file's arguments
-  roslaunch serial_communication bridge.launch sim:=true      with simulated boards
-  rosrun serial_communication {_PROGRAM} _bus/port:=/dev/ttyS0
+The node that connects the serial links of a robot to ROS, usually started by bridge.launch. It
+takes ROS's arguments only; config/bridge.yaml documents its parameters.
 
 Exit status 0: it was stopped; 1: a parameter is wrong, or something failed (see the log);
 {WRONG_ARGUMENTS}: wrong arguments; {NAME_TAKEN}: a node of its name is already running.
@@ -56,9 +53,3 @@ def empty_ports() -> List[str]:
         if any(os.path.basename(word) == 'bridge.launch' for word in words):
             return [word[:-len('_port:=')] for word in words if word.endswith('_port:=')]
     return []
-
-
-def say(text: str) -> None:
-    """Print to stderr, since rospy does not log yet; ignore a stream that cannot be written."""
-    with suppress(OSError, ValueError):
-        print(f'{_PROGRAM}: {text}', file=sys.stderr, flush=True)

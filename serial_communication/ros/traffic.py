@@ -26,20 +26,20 @@ class Traffic:
 
     def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
         self._log = SparingLog('serial_msg', logger)
-        self._links = {link.name: link for link in links}
+        self._links = list(links)
         # put() never blocks.
-        self._queue: 'queue.SimpleQueue[Tuple[str, int, Frame, int]]' = queue.SimpleQueue()
+        self._queue: 'queue.SimpleQueue[Tuple[str, int, Frame]]' = queue.SimpleQueue()
         self._topic = publisher('serial_msg', SerialMsg)
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
 
     def _enqueue(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:
-            self._queue.put((link, direction, frame, self._links[link].connection.number))
+            self._queue.put((link, direction, frame))
 
     def _run(self) -> None:
         while True:
             tap = self._enqueue if wanted(self._topic) else None
-            for link in self._links.values():
+            for link in self._links:
                 link.tap = tap
             try:
                 self._publish(*self._queue.get(timeout=_LOOK))
@@ -48,13 +48,9 @@ class Traffic:
             except Exception as error:  # pylint: disable=broad-except
                 log_fault(self._log, error)
 
-    def _publish(self, link: str, direction: int, frame: Frame, connection: int) -> None:
+    def _publish(self, link: str, direction: int, frame: Frame) -> None:
         message = SerialMsg(link=link, direction=direction, type=frame.type,
                             command=frame.number, data=frame.data, frame=frame.raw,
                             text=frame.text, error=frame.trouble)
         message.header.stamp = frame.stamp or rospy.Time.now()
-        # A reader that counts lost frames by SEQ has to know when the port was opened again, since
-        # frames missed in between were not lost on the line. frame_id is free for this; another
-        # field would change the message's type, and older bags could not be read.
-        message.header.frame_id = f'connection {connection}'
         self._topic.publish(message)

@@ -14,11 +14,10 @@ from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Diagn
                     Topic, again_if_stalled, calibrates, command_topic, level_imu, plug, service,
                     stamped, until, values_of)
 from serial_communication.framing.announcement import chunks_of
-from serial_communication.link.outcome import Verdict
 from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
                                       Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.ros.answers import read_error
+from serial_communication.tools.watch.calls import Verdict, read_error
 
 # A packet of a real board; the norm of its quaternion is far from 1.
 IMU_PACKET = bytes.fromhex('05092d41e00210020801040affec021e0564ff382003faf600')

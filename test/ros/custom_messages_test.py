@@ -29,12 +29,11 @@ from tf2_msgs.msg import TFMessage
 
 from boards import (NOT_SENT, PACKAGE, BusBoard, CarBoard, Diagnostics, Rosout, SensorBoard, Topic,
                     Waiter, again_if_stalled, level_imu, plug, service, until, until_in_step)
-from serial_communication.link.outcome import Verdict
 from serial_communication.msg import SerialMsg
 from serial_communication.framing import announcement, cobs
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
-from serial_communication.ros.answers import read_error, read_response
+from serial_communication.tools.watch.calls import Verdict, read_error, read_response
 from serial_communication.ros.parameters import ParameterError, check, resolved_names
 from serial_communication.ros.custom_topics import taken_names
 from serial_communication.srv import GetEnvironment, Lift

@@ -97,7 +97,7 @@ class WhileOneRuns(unittest.TestCase):
 class WithoutAMaster(unittest.TestCase):
     """A bridge without a master."""
 
-    def test_it_prints_that_it_waits_and_ctrl_c_ends_it_without_a_traceback(self):
+    def test_a_signal_ends_it_while_it_waits(self):
         with socket.socket() as taken:          # bound, but not listening
             taken.bind(('127.0.0.1', 0))
             uri = f'http://127.0.0.1:{taken.getsockname()[1]}'
@@ -106,9 +106,7 @@ class WithoutAMaster(unittest.TestCase):
                 env=dict(os.environ, ROS_MASTER_URI=uri)))
                     for number in (signal.SIGINT, signal.SIGTERM)]
             for number, process in both:
-                said = process.stderr.readline()
-                self.assertIn(f'waiting for the ROS master at {uri}', said)
-                self.assertIn('roscore', said)
+                self.assertIn(uri, process.stderr.readline())
                 process.send_signal(number)
                 rest = process.communicate(timeout=PATIENCE)[1]
                 self.assertEqual((process.returncode, rest), (0, ''))

@@ -5,9 +5,8 @@ import pytest
 import rosgraph
 
 from serial_communication.link import lending
-from serial_communication.link.outcome import Verdict
 from serial_communication.tools.release import cli
-from serial_communication.tools.watch.calls import Answer
+from serial_communication.tools.watch.calls import Answer, Verdict
 
 
 @pytest.mark.parametrize('url, host, device', [

@@ -23,9 +23,8 @@ import serial
 
 from serial_communication.srv import Release, ReleaseRequest
 
-from ...link.outcome import Verdict
 from ...output import prepare_output
-from ..watch.calls import MOST_WAIT, call, node_argument
+from ..watch.calls import MOST_WAIT, Verdict, call, node_argument
 from ..watch.topics import NODE
 
 _NOT_LENT, _NOT_STARTED = 125, 127

@@ -9,13 +9,12 @@ from std_srvs.srv import SetBoolResponse, Trigger
 
 from waiting import PATIENCE, until
 from serial_communication.boards.arduino.wire import SPEED_LIMIT
-from serial_communication.link.outcome import Verdict
 from serial_communication.tools.panel import commands as panel_commands
 from serial_communication.tools.panel.commands import Commands
 from serial_communication.tools.panel.dead_man import SILENCE, CommandRefused
 from serial_communication.tools.panel.feed import _link_update
 from serial_communication.tools.panel.forms import service
-from serial_communication.tools.watch.calls import Answer
+from serial_communication.tools.watch.calls import Answer, Verdict
 from serial_communication.tools.watch.state import BridgeState, LinkState
 
 NODE = '/serial_communication'

@@ -277,10 +277,9 @@ def traffic(rig: Rig) -> None:
 def _is_described(shown: SerialMsg, began: float) -> bool:
     """Whether the header and the text of a frame are right, for a time that began then."""
     is_counter = (shown.link, shown.type) == ('arduino', COUNTER)
-    return (shown.header.frame_id.startswith('connection ')
-            and began < shown.header.stamp.to_sec() < time.time() and (
-                not is_counter
-                or shown.text == f'counter data={int.from_bytes(shown.data, "little")}'))
+    return began < shown.header.stamp.to_sec() < time.time() and (
+        not is_counter
+        or shown.text == f'counter data={int.from_bytes(shown.data, "little")}')
 
 
 def opened(port: str) -> IO[bytes]:
