@@ -169,7 +169,7 @@ class Calibration(ArduinoTest):
         def says_that_it_is_closed():       # or that it may have waited during a stall
             with self.assertRaises(rospy.ServiceException) as caught:
                 service('/closed/calibrate_imu', Empty)()
-            self.assertIs(read_error(caught.exception)[0], Verdict.REFUSED)
+            self.assertIs(read_error(caught.exception)[0], Verdict.FAILED)
             return 'closed' in str(caught.exception)
         until(says_that_it_is_closed, 'the error says that the port is closed', every=0.2)
 

@@ -390,7 +390,7 @@ class Functions(unittest.TestCase):
             with self.assertRaises(rospy.ServiceException) as caught:
                 Waiter(service(OWN + 'level', GetLoggers)).result()
             verdict, text = read_error(caught.exception)
-            self.assertIs(verdict, Verdict.REFUSED)
+            self.assertIs(verdict, Verdict.FAILED)
             return message in text
         again_if_stalled(raised)
 
@@ -400,7 +400,7 @@ class Functions(unittest.TestCase):
         BOARD.answers[0x30] = bus.Reply(bus.ERROR, b'\2\x80')
         answer = self.call('pump', SetBool, True)
         self.assertEqual(read_response(answer), (
-            Verdict.REFUSED, 'the board refused: 0x8002: the operation failed'))
+            Verdict.FAILED, 'the board refused: 0x8002: the operation failed'))
 
     def test_replies_of_polled_functions_are_published(self):
         BOARD.answers[0x32] = bus.Reply(bus.OK, struct.pack('<H', 10132))

@@ -102,13 +102,14 @@ class WithoutAMaster(unittest.TestCase):
             taken.bind(('127.0.0.1', 0))
             uri = f'http://127.0.0.1:{taken.getsockname()[1]}'
             both = [(number, subprocess.Popen(
-                [program('serial_communication_node')], stderr=subprocess.PIPE, text=True,
+                [program('serial_communication_node')], stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT, text=True,
                 env=dict(os.environ, ROS_MASTER_URI=uri)))
                     for number in (signal.SIGINT, signal.SIGTERM)]
             for number, process in both:
-                self.assertIn(uri, process.stderr.readline())
+                self.assertIn(uri, process.stdout.readline())
                 process.send_signal(number)
-                rest = process.communicate(timeout=PATIENCE)[1]
+                rest = process.communicate(timeout=PATIENCE)[0]
                 self.assertEqual((process.returncode, rest), (0, ''))
 
 

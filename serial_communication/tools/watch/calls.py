@@ -29,6 +29,7 @@ class Verdict(enum.Enum):
 
     DONE = 'done'              # executed; exactly once, unless it may be repeated
     REFUSED = 'refused'        # not executed
+    FAILED = 'failed'          # the message alone says whether it was executed
     NOT_KNOWN = 'not known'    # executed once or not at all, unless it may be repeated
 
 
@@ -70,16 +71,14 @@ def call(name: str, service_class: Any, request: Any, deadline: float) -> Answer
 
 
 def read_response(response: Any) -> Tuple[Verdict, str]:
-    """Return the verdict and the message of a response of the bridge.
-
-    Without a field `status`, a failure counts as refused; its message has the rest.
-    """
+    """Return the verdict and the message of a response of the bridge."""
     names = outcome_fields(type(response))
     message = response.message if 'message' in names else ''
     if 'success' not in names or response.success:
         return Verdict.DONE, message or 'done'
-    is_refused = 'status' not in names or response.status in _REFUSED
-    return (Verdict.REFUSED if is_refused else Verdict.NOT_KNOWN), message
+    if 'status' not in names:
+        return Verdict.FAILED, message
+    return Verdict.REFUSED if response.status in _REFUSED else Verdict.NOT_KNOWN, message
 
 
 def read_error(error: rospy.ServiceException) -> Tuple[Verdict, str]:
@@ -88,4 +87,4 @@ def read_error(error: rospy.ServiceException) -> Tuple[Verdict, str]:
         return Verdict.REFUSED, 'nothing was sent: the bridge does not answer'
     if isinstance(error.__context__, TransportException):
         return Verdict.NOT_KNOWN, f'no answer was received: {error}; {LOOK}'
-    return Verdict.REFUSED, str(error)
+    return Verdict.FAILED, str(error)
