@@ -11,8 +11,6 @@ from std_srvs.srv import Empty, EmptyResponse
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 
 from ...link.link import Refused
-from ...link.outcome import NOT_SENT, Outcome
-from ...ros.answers import service_error
 from ...ros.commands import CommandTopic
 from ...ros.custom_topics import MessageTopics, message_rows, names_of
 from ...ros.imu import ImuTopic
@@ -106,7 +104,7 @@ class ArduinoInterface(Interface):
         try:
             self.link.calibrate_imu()
         except Refused as refused:
-            raise service_error(Outcome(NOT_SENT, f'{refused}')) from None
+            raise rospy.ServiceException(str(refused)) from None
         return EmptyResponse()
 
     def _received(self, message: Any, stamp: rospy.Time) -> None:
