@@ -161,11 +161,6 @@ def read_announcement(text: bytes) -> Announcement:
             why = ' '.join(str(error).split())
             problems.append(readable(f'line {number} of the announcement is left out: '
                                      f'{brief(line, 60)}: {why[:120]}'))
-    words = ''.join(text.decode('utf-8', 'replace').split())
-    if problems and not rows and '\N{REPLACEMENT CHARACTER}' in readable(words):
-        # An AVR reads the text from program memory; without PROGMEM it is in the RAM.
-        problems = [f'the announcement is no text: {brief(text, 60)}: PROGMEM missing in the '
-                    'sketch?']
     return Announcement(firmware, rows, problems)
 
 

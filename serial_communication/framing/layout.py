@@ -207,6 +207,13 @@ class Layout:
             return f'{self.size}'
         return f'{self.size}, {self.size + self._step}, {self.size + 2 * self._step} …'
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Layout) and (self.layout, self.values) == (
+            other.layout, other.values)
+
+    def __hash__(self) -> int:
+        return hash((self.layout, self.values))
+
     def _unpack(self, data: bytes) -> Tuple:
         """The general `unpack`: the values; struct.error if `data` has the wrong length."""
         values = list(self.raw(data))
@@ -339,10 +346,21 @@ def brief(given: Any, most: int) -> str:
     return words if len(words) <= most else words[:most - 1] + '…'
 
 
+def shortest(number: float) -> float:
+    """The decimal number with the fewest digits that is the same float32 as this number."""
+    wanted = struct.pack('<f', number)
+    number, = struct.unpack('<f', wanted)
+    return next((short for short in (float(f'{number:.{digits}g}') for digits in (6, 7, 8))
+                 if abs(short) < 3.4e38 and struct.pack('<f', short) == wanted), number)
+
+
 def _rounded(code: str, number: float) -> float:
     """A number as struct's code holds it; OverflowError if it is too great."""
     rounded: float = struct.unpack('<' + code, struct.pack('<' + code, number))[0]
     return rounded
+
+
+EMPTY = Layout('<', ())
 
 
 class LayoutMessage(tuple):

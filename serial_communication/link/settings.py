@@ -2,7 +2,8 @@
 import threading
 from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple, Type
 
-from ..framing.settings import Setting, SettingMessage, message_of
+from ..framing.rows import Setting
+from ..framing.settings import SettingMessage, message_of
 from ..transport import pace
 from ..transport.pace import Allowance
 from .outcome import Refused
@@ -18,9 +19,8 @@ _ANSWERS = 3               # as many tries answered by one other value: the boar
 class _State:
     """One setting."""
 
-    def __init__(self, row: Setting, announced: bool) -> None:
+    def __init__(self, row: Setting) -> None:
         self.row = row
-        self.announced = announced
         self.value: Any = None      # that the board uses; None: not known
         self.wanted: Any = None     # None: the board's own value stands
         self.tried_at = 0.0
@@ -73,10 +73,10 @@ class BoardSettings:
         with self._changed:
             return [self._states[name].row for name in sorted(self._states)]
 
-    def add(self, row: Setting, announced: bool = False) -> Callable[[], None]:
+    def add(self, row: Setting) -> Callable[[], None]:
         """Add a row; return what removes it."""
         with self._changed:
-            state = self._states[row.name] = _State(row, announced)
+            state = self._states[row.name] = _State(row)
             self._rows_changed()
         self.want(row.name, self.wanted.get(row.name))
 
@@ -91,7 +91,7 @@ class BoardSettings:
 
     def _rows_changed(self) -> None:
         states = self._states.values()
-        self._by_number = {state.row.setting: state for state in states}
+        self._by_number = {state.row.number: state for state in states}
         self._kind = message_of(state.row for state in states)
         self._use(self._kind)
 
@@ -156,7 +156,7 @@ class BoardSettings:
         """
         with self._changed:
             state = self._by_number.get(message.number)
-            if state is None or state.announced and not is_current \
+            if state is None or state.row.announced and not is_current \
                     or type(message) is not self._kind:     # decoded before the rows changed
                 return
             value, before, was_settled = message.value, state.value, state.is_settled
@@ -194,7 +194,7 @@ class BoardSettings:
         with self._changed:
             waiting = [state for state in self._states.values()
                        if state.wanted is not None and not state.confirmed
-                       and (is_current or not state.announced)]
+                       and (is_current or not state.row.announced)]
             for state in sorted(waiting, key=lambda state: state.tried_at):
                 if now >= state.due and self._allowance.take(self._clock()):
                     self._try(state, now, write)
@@ -205,7 +205,7 @@ class BoardSettings:
     def _try(self, state: _State, now: float, write: Callable[[SettingMessage], None]) -> None:
         name = state.row.name
         try:
-            write(self._kind(state.row.setting, state.wanted))
+            write(self._kind(state.row.number, state.wanted))
         except Refused:
             state.due = now + _PAUSES[0]
             return

@@ -12,7 +12,7 @@ from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, S
 
 import roslib.message
 
-from ..framing.custom_messages import RowError
+from ..framing.rows import RowError
 from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
 from ..framing.rotation import angles, quaternion
 

@@ -5,8 +5,9 @@ from abc import ABC, abstractmethod
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ..link.link import Link
-from .announced import AnnouncedRows
+from .binder import Binder
 from .parameter import Parameters
+from .rows import rows_in
 
 
 class LinkOptions(NamedTuple):
@@ -36,7 +37,7 @@ class Interface(ABC):
     PARAMETERS: Parameters         # including `port` and `baud`
     MOUNTS: Tuple[str, ...] = ()   # for each sensor x, x_frame_id and x_mount are parameters
     link: Link
-    announced: Optional[AnnouncedRows] = None    # None: no announcements are used
+    binder: Optional[Binder] = None    # None: the board has no rows
 
     @abstractmethod
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
@@ -53,7 +54,7 @@ class Interface(ABC):
     @staticmethod
     def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
         """Return the topics and services that parameters add: (name, the parameter's name)."""
-        return []
+        return [(each.name, each.row.key) for each in rows_in(parameters)]
 
     def advertise(self) -> None:
-        """Subscribe to commands and offer services; the link has started."""
+        """Offer what needs code of its own; the rows are there."""

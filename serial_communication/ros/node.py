@@ -23,7 +23,7 @@ from ..link.sparing_log import SparingLog
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import direct, logs, parameters, starting
-from .announced import forget_announced
+from .binder import forget_announced
 from .diagnostics import Diagnostics, log_fault
 from .geometry import publish_mounts
 from .interface import LinkOptions
@@ -32,8 +32,6 @@ from .master import (MasterWatch, full_name, restart, running_node, started_by_r
                      wait_for_master)
 from .parameter import ParameterError
 from .settings import PARAMETER as SETTINGS
-from .settings import PAUSE as SETTINGS_PAUSE
-from .settings import serve as serve_settings
 from .settings import wanted_values
 from .stop import Stop
 from .traffic import Traffic
@@ -43,7 +41,7 @@ _NAME = 'serial_communication'    # the default
 _PRIORITY = 1               # real-time priority of all threads, if the system allows it
 _SHUTDOWN = 1.0             # s for all links to end
 _ANSWERED = 0.1             # s for the answers of calls that have ended to leave
-_ANNOUNCEMENT_PAUSE = 1.0   # s: a board may change its announcement all the time
+_WORKER_PAUSE = 0.1         # s: settings, and announcements, may change all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
 _AGAIN = 10.0               # s before it ends, since roslaunch starts it again at once
 _PARAMETERS = 'SERIAL_COMMUNICATION_PARAMETERS'   # environment of a restart: the parameters, JSON
@@ -208,14 +206,12 @@ class Bridge:
         self._stop = Stop(self._stop_order(), bool(os.environ.pop(_STOPPED, '')))
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
-        log = SparingLog('announcements', _LOGGER)
-        self._announcements = LatestWorker('announcements', _ANNOUNCEMENT_PAUSE,
-                                           partial(log_fault, log))
-        announced = [each.announced for each in self._interfaces if each.announced]
-        for rows in announced:
-            rows.serve(self._announcements, names, log, announced)
-        self._settings_worker = LatestWorker('settings', SETTINGS_PAUSE, partial(log_fault, log))
-        serve_settings(self._links, given, self._settings_worker, SparingLog('settings', _LOGGER))
+        self._worker = LatestWorker('rows', _WORKER_PAUSE,
+                                    partial(log_fault, SparingLog('rows', _LOGGER)))
+        binders = [each.binder for each in self._interfaces if each.binder]
+        for binder in binders:
+            binder.serve(self._worker, names, binders,
+                         p[SETTINGS].get(binder.link.name, {}))
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -229,8 +225,7 @@ class Bridge:
             interface.advertise()
             _offer_lending(interface.link)
         _accept_all_calls()
-        self._announcements.start()
-        self._settings_worker.start()
+        self._worker.start()
         self._diagnostics.start()
 
     def _stop_order(self) -> List[Link]:

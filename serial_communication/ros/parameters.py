@@ -10,7 +10,7 @@ import rospy
 
 from ..boards import BOARDS, description
 from ..boards.description import ANNOUNCED
-from ..framing.custom_messages import RowError
+from ..framing.rows import RowError
 from ..framing.layout import brief, readable
 from ..transport.urls import identity
 from .interface import Interface

@@ -9,10 +9,10 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
-from serial_communication.boards.arduino import custom_messages as arduino_messages
-from serial_communication.boards.bus.functions import read_functions as bus_functions
-from serial_communication.boards.mcu import custom_messages as mcu_messages
-from serial_communication.framing.custom_messages import RowError, meaning
+from board_rows import car_messages as arduino_messages
+from board_rows import functions as bus_functions
+from board_rows import mcu_messages
+from serial_communication.framing.rows import Kind, RowError
 
 FORCE = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data'],
          'scale': 0.01, 'minimum': 0, 'maximum': 300}
@@ -29,7 +29,7 @@ def one(row, **changes):
 
 def message(layout, fields, **changes):
     return one(FORCE, layout=layout, fields=fields, **dict(
-        {'scale': None, 'minimum': None, 'maximum': None}, **changes)).kind
+        {'scale': None, 'minimum': None, 'maximum': None}, **changes)).message
 
 
 def wire(kind, data):
@@ -47,9 +47,9 @@ def received(kind, data):
 
 def test_the_row_of_the_tutorial():
     custom = one(FORCE)
-    assert (custom.name, custom.ros_type, custom.is_command, custom.frame_id) == (
-        'name', 'std_msgs/Float32', False, '')
-    got, errors = received(custom.kind, b'\x39\x30')
+    assert (custom.name, custom.ros_type, custom.kind, custom.frame_id) == (
+        'name', 'std_msgs/Float32', Kind.FROM, '')
+    got, errors = received(custom.message, b'\x39\x30')
     assert got == (pytest.approx(123.45),) and not errors
     assert str(got) == 'name data=123.45'
     assert got.pack() == b'\x39\x30'
@@ -92,7 +92,7 @@ def test_an_empty_field_leaves_a_value_out():
 def test_rows_with_the_same_constants_mean_the_same_though_one_is_no_number():
     rows = [one(dict(FORCE, constants={'current': float('nan'), 'cells': [float('nan'), 1.0],
                                        'voltage': voltage})) for voltage in (5.0, 5.0, 6.0)]
-    assert meaning(rows[0]) == meaning(rows[1]) != meaning(rows[2])
+    assert rows[0] == rows[1] != rows[2]
 
 
 # -- what is refused ------------------------------------------------------------------------------
@@ -190,17 +190,17 @@ def test_any_number_but_0_is_packed_as_true():
 @pytest.mark.parametrize('name', ['class', 'None', 'def', 'print', 'count'])
 def test_any_ros_base_name_may_name_a_message(name):
     custom, = arduino_messages({name: FORCE})
-    got, errors = received(custom.kind, b'\x39\x30')
+    got, errors = received(custom.message, b'\x39\x30')
     assert str(got) == f'{name} data=123.45' and not errors
     assert repr(got).startswith(f'{name}(')
-    assert arduino_messages({'a': dict(FORCE, fields=[name])})[0].kind(1).pack() == b'\x64\0'
+    assert arduino_messages({'a': dict(FORCE, fields=[name])})[0].message(1).pack() == b'\x64\0'
     assert bus_functions({name: PUMP})[0].make_request((1,)).data == b'\1'
 
 
 def test_custom_mcu_frames():
     custom, = mcu_messages({'line': dict(FORCE, type=0x20)})
-    decoder = mcu.Decoder([custom.kind])
-    frame, = decoder.feed(mcu.encode(custom.kind(12.5), 7))
+    decoder = mcu.Decoder([custom.message])
+    frame, = decoder.feed(mcu.encode(custom.message(12.5), 7))
     assert (frame.message, frame.type, frame.number) == ((12.5,), 0x20, 7)
     frames = decoder.feed(mcu.encode_raw(0x20, 8, b'\1') + mcu.encode_raw(0x20, 9, b'\xff\xff'))
     assert [frame.cause for frame in frames] == [LENGTH, IMPLAUSIBLE]
@@ -212,8 +212,8 @@ def test_custom_mcu_frames():
 def test_frames_behind_a_false_len_are_found_though_its_checksum_matches(read):
     """A flipped bit of LEN makes one frame of three, since equal bytes cancel out of an XOR."""
     custom, = mcu_messages({'line': dict(FORCE, type=0x20)})
-    decoder = mcu.Decoder([custom.kind])
-    wire = bytearray(mcu.encode(custom.kind(12.5), 7))
+    decoder = mcu.Decoder([custom.message])
+    wire = bytearray(mcu.encode(custom.message(12.5), 7))
     wire[1] ^= 0x20
     statuses = [mcu.SensorStatus(470, 580, 0.0, 0.0, roll) for roll in (1.0, 2.0)]
     wire += mcu.encode(statuses[0], 8) + mcu.encode(statuses[1], 9)

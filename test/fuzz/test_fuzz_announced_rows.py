@@ -1,6 +1,7 @@
 """Any announcements, one after the other: what is in use is always what the latest one allows, and
 all that was made is taken down once."""
 import logging
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -10,14 +11,14 @@ from hypothesis import strategies as st
 pytest.importorskip('rospy')
 from serial_communication.boards.arduino import DESCRIPTION  # noqa: E402
 from serial_communication.framing.announcement import write_announcement  # noqa: E402
-from serial_communication.framing.settings import Setting  # noqa: E402
+from serial_communication.framing.rows import Kind  # noqa: E402
 from serial_communication.link.announcement import BoardAnnouncement  # noqa: E402
 from serial_communication.link.sparing_log import SparingLog  # noqa: E402
-from serial_communication.ros.announced import AnnouncedRows  # noqa: E402
-from serial_communication.ros.custom_topics import message_rows, resolve  # noqa: E402
+from serial_communication.ros.binder import Binder  # noqa: E402
+from serial_communication.ros.rows import read_rows  # noqa: E402
 
 ROW = {'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data']}
-CONFIGURED = message_rows(DESCRIPTION, {'mine': dict(ROW, type=40)})
+CONFIGURED = read_rows(DESCRIPTION, 'messages', {'mine': dict(ROW, type=40)})
 rows = st.dictionaries(
     st.sampled_from(('force', 'level', 'mine', 'other', 'imu', 'pump', '2nd')),
     st.one_of(
@@ -32,39 +33,39 @@ texts = st.one_of(rows.map(lambda given: write_announcement(given, 'nano_car 1.1
                   st.binary(max_size=60))
 
 
-class Stage:
-    """Announced rows whose topics are only counted."""
+class Stage(Binder):
+    """A binder whose topics are only counted."""
 
     def __init__(self, failing=()):
-        self.up = {}            # rows that are made, by name
-        self.made = 0
-        self.names = {'/unnamed/pump': 'bus/announced/pump'}
-        self._failing = failing
         log = SparingLog('arduino', logging.getLogger('fuzz'))
-        self.link = SimpleNamespace(name='arduino', log=log, announcement=BoardAnnouncement(log))
-        self.rows = AnnouncedRows(DESCRIPTION, self.link, [row.custom for row in CONFIGURED],
-                                  lambda custom: custom if isinstance(custom, Setting)
-                                  else resolve(custom, '~'), self._add)
+        super().__init__(replace(DESCRIPTION, rows=()), SimpleNamespace(
+            name='arduino', log=log, announcement=BoardAnnouncement(log)), {'messages': CONFIGURED})
+        self.up = {}            # announced rows that are made, by name
+        self.made = 0
+        self._names = {'/unnamed/pump': 'bus/announced/pump'}
+        self._failing = failing
+        self.sync(self._fixed)
 
-    def _add(self, row):
-        name = row.custom.name
-        assert name not in self.up
-        assert row.custom.number not in [each.custom.number for each in self.up.values()]
-        if name in self._failing:
+    def _make(self, ros_row):
+        row = ros_row.row
+        if not row.announced:
+            return None
+        assert row.name not in self.up
+        assert (row.kind, row.number) not in [(each.kind, each.number) for each in self.up.values()]
+        if row.name in self._failing:
             raise RuntimeError('any failure')
-        self.up[name] = row
+        self.up[row.name] = row
         self.made += 1
-        return lambda: self.up.pop(name)
+        return lambda: self.up.pop(row.name)
 
     def update(self, text):
-        in_use = self.rows.update(text, self.names)
+        in_use = self.use(text)
         assert set(in_use) == set(self.up) == set(self.link.announcement.rows)
         assert self.link.announcement._in_use == text
-        prefixes = {name: 'settings/arduino/' if isinstance(row, Setting) else ''
-                    for name, row in self.up.items()}
-        assert self.names == {'/unnamed/pump': 'bus/announced/pump', **{
-            f'/unnamed/{prefix}{name}': f'arduino/announced/{name}'
-            for name, prefix in prefixes.items()}}
+        assert self._names == {
+            '/unnamed/pump': 'bus/announced/pump', '/unnamed/mine': 'arduino/messages/mine',
+            **{'/unnamed/' + DESCRIPTION.name_of(row)[1:]: f'arduino/announced/{name}'
+               for name, row in self.up.items()}}
         return in_use
 
 
@@ -78,9 +79,8 @@ def test_what_is_in_use_is_what_the_latest_announcement_allows(sequence):
         assert stage.update(text) == in_use and stage.made == made, 'the same again changes nothing'
         for name, row in in_use.items():
             used = stage.up[name]
-            key, number = used.custom.number
-            assert number == row[key]
-            assert isinstance(used, Setting) or used.kind.LAYOUT.values[0].scale == row['scale']
+            assert used.number == row[used.number_key]
+            assert used.kind is Kind.SETTING or used.layout.values[0].scale == row['scale']
     assert stage.update(b'') == {}
 
 
@@ -113,7 +113,9 @@ def test_the_parameter_of_the_rows_is_set_again_until_the_master_answers(monkeyp
 
     monkeypatch.setattr('rospy.set_param', set_param)
     worker = SimpleNamespace(submit=waiting.append)
-    stage.rows.serve(worker, stage.names, stage.link.log, [stage.rows])
+    stage._p['announcements'] = True
+    stage.link.board_settings = SimpleNamespace(wanted={})
+    stage.serve(worker, stage._names, [stage], {})
     text = write_announcement({'force': dict(ROW, type=38)})
     stage.link.announcement.on_text(stage.link.announcement.assembly.whole(text))
     for _ in range(3):

@@ -1,11 +1,15 @@
 """The state of a board's settings: what is sent when, and what counts as confirmed."""
 import logging
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from serial_communication.framing.settings import SettingMessage, read_settings
+from board_rows import car_settings
+
+from serial_communication.framing.rows import BOARD
+from serial_communication.framing.settings import SettingMessage
 from serial_communication.link.outcome import Refused
 from serial_communication.link.settings import BoardSettings
 from serial_communication.link.sparing_log import SparingLog
@@ -28,8 +32,8 @@ class Rig:
         self.refuses = self.is_current = False
         log = SparingLog('arduino', logging.getLogger('rig'))
         self.settings = BoardSettings(log, self.kinds.append, self._wake, lambda: self.now)
-        self.remove = {row.name: self.settings.add(row, announced)
-                       for row in read_settings(rows, 'arduino/settings')}
+        self.remove = {row.name: self.settings.add(replace(
+            row, origin=BOARD) if announced else row) for row in car_settings(rows)}
 
     def _wake(self):
         self.woken += 1
@@ -192,7 +196,7 @@ def test_a_row_that_goes_and_comes_again_keeps_its_wanted_value(rig):
     rig.remove['kp']()
     rig.step(5)
     assert rig.sent == [] and 'kp' not in rig.settings.shown()
-    rig.settings.add(*read_settings({'kp': dict(ROWS['kp'], setting=9)}, 'arduino/settings'))
+    rig.settings.add(*car_settings({'kp': dict(ROWS['kp'], setting=9)}))
     rig.step()
     assert [each[1:] for each in rig.sent] == [(9, 2.0)]
     rig.remove['kp']()             # of the first one
@@ -377,7 +381,7 @@ def test_a_value_that_becomes_known_as_limited_is_a_change(rig):
 def test_a_report_that_was_decoded_before_the_rows_changed_is_dropped():
     rig, early = Rig(rows={}), [SettingMessage(1, (0, 0, 128, 63))]
     for layout in '<f', '<I', '<f':
-        rig.settings.add(*read_settings({'kp': {'setting': 1, 'layout': layout}}, 'k'))
+        rig.settings.add(*car_settings({'kp': {'setting': 1, 'layout': layout}}))
         for message in early:
             rig.settings.received(message, True)
         assert rig.shown() == (None, None, True) and rig.settings.values()[0][1] == 'kp=?'

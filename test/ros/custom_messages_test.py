@@ -32,11 +32,11 @@ from boards import (NOT_SENT, PACKAGE, BusBoard, CarBoard, Diagnostics, Rosout, 
 from serial_communication.link.outcome import Verdict
 from serial_communication.msg import SerialMsg
 from serial_communication.framing import announcement, cobs
+from serial_communication.boards import descriptions
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.ros.answers import read_error, read_response
 from serial_communication.ros.parameters import ParameterError, check, resolved_names
-from serial_communication.ros.custom_topics import taken_names
 from serial_communication.srv import GetEnvironment, Lift
 
 OWN = '/' + PACKAGE + '/'
@@ -441,7 +441,7 @@ class NobodyListens(unittest.TestCase):
 class Names(unittest.TestCase):
     """Names of topics and services."""
 
-    def test_every_name_of_the_bridge_is_reserved(self):
+    def test_every_name_of_the_bridge_is_described(self):
         with open(EXAMPLES) as file:
             rows = yaml.safe_load(file)
         own = set(rows['arduino']['messages']) | set(rows['bus']['functions'])
@@ -450,11 +450,10 @@ class Names(unittest.TestCase):
             return {name.split('/')[2] for kind in rosgraph.Master('/test').getSystemState()
                     for name, nodes in kind if '/closed' in nodes and name.startswith('/closed/')}
         until(lambda: own <= names_of_closed(), 'all examples are registered')
-        names = names_of_closed()
-        self.assertTrue(names - own <= taken_names('~'), names - own - taken_names('~'))
-        published = rosgraph.Master('/test').getSystemState()[0]
-        names = {name.split('/')[2] for name, nodes in published if name.startswith('/mcu/')}
-        self.assertEqual(names - set(rows['mcu']['messages']), taken_names('mcu/'))
+        described = {name[1:].split('/')[0] for board in descriptions() for name in board.names
+                     if name.startswith('~')}
+        self.assertEqual(names_of_closed() - own - described,
+                         {'get_loggers', 'set_logger_level', 'stop'})
 
 
 FORCE = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data']}
@@ -557,7 +556,11 @@ class Mistakes(unittest.TestCase):
         for group, name, row in (
                 ('arduino/messages', 'voltage', FORCE), ('arduino/messages', 'lift', FORCE),
                 ('mcu/messages', 'range_1', FORCE), ('bus/functions', 'gimbal', PUMP)):
-            self.assert_mistake(group, name, row, '')
+            section, rows = group.split('/')
+            given = {board: {'port': '/dev/' + board} for board in ('bus', 'arduino', 'mcu')}
+            given[section][rows] = {name: row}
+            with self.assertRaisesRegex(ParameterError, f'/{name} is the name of .* and of '):
+                resolved_names(check(given, '/node')[0], given)
         given = {'arduino': {'port': '/dev/a', 'messages': {'both': FORCE}},
                  'bus': {'port': '/dev/b', 'functions': {'both': PUMP}}}
         with self.assertRaisesRegex(ParameterError, '/both is the name of .* and of '):

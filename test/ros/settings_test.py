@@ -15,13 +15,13 @@ import rostest
 
 from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Master, Rosout, again_if_stalled,
                     own_folder, until)
-from serial_communication.boards.arduino import settings as read_settings
+from serial_communication.boards.arduino import DESCRIPTION
 from serial_communication.boards.arduino import wire
 from serial_communication.framing.announcement import chunks_of
 from serial_communication.framing.settings import SettingMessage, message_of
 from serial_communication.link.settings import BoardSettings
 from serial_communication.link.sparing_log import SparingLog
-from serial_communication.ros.settings import serve
+from serial_communication.ros.settings import SettingsServer
 
 NAME = '/' + PACKAGE + '/settings/arduino'
 ROWS = {
@@ -31,7 +31,7 @@ ROWS = {
     'reverse': {'setting': 3, 'layout': '<?'},
     'rate': {'setting': 4, 'layout': '<I'},      # which no test sets
 }
-KIND = message_of(read_settings(ROWS))
+KIND = message_of(DESCRIPTION.read('settings', ROWS))
 GAIN = 'gain: {setting: 7, layout: "<B", minimum: 1, maximum: 9}\n'
 
 
@@ -203,10 +203,11 @@ class ServerTest(unittest.TestCase):
         self.kinds, self.log = [], mock.Mock()
         self.settings = BoardSettings(SparingLog('arduino', self.log), self.kinds.append,
                                       lambda: None, lambda: 0.0)
-        self.added = [self.settings.add(row) for row in read_settings(rows)]
+        rows = DESCRIPTION.read('settings', rows)
         link = SimpleNamespace(name='arduino', board_settings=self.settings, log=self.log)
-        serve([link], rospy.get_param('~', {}),
-              SimpleNamespace(submit=lambda function: function()), self.log)
+        values = rospy.get_param('~settings', {}).get('arduino', {})
+        SettingsServer(link, rows, values, SimpleNamespace(submit=lambda function: function()))
+        self.added = [self.settings.add(row) for row in rows]
 
     def end(self):
         while self.added:

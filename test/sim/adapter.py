@@ -2,21 +2,22 @@
 # flake8: noqa: F401  much of it is what mutants break
 import logging
 import os
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, Callable, Dict, List, Optional, Tuple
 
 from device import Device
 from world import Loop, World
 
-from serial_communication.boards.arduino import custom_messages, settings
+from serial_communication.boards.arduino import DESCRIPTION as CAR
 from serial_communication.boards.arduino.heartbeat import HeartbeatThread
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.boards.arduino.motor import Motor, Stop
 from serial_communication.boards.arduino.output import CarOutput
 from serial_communication.boards.arduino.simulator import ModelCar
+from serial_communication.boards.bus import DESCRIPTION as BUS
 from serial_communication.boards.bus import wire as bus_wire
 from serial_communication.boards.bus.call import CallQueue
-from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.bus.master import Master
 from serial_communication.boards.bus.session import Session, SessionState
@@ -24,7 +25,7 @@ from serial_communication.boards.bus.simulator import ControlBoard as BusBoard
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.boards.mcu.simulator import SensorBoard
 from serial_communication.framing.announcement import read_announcement, write_announcement
-from serial_communication.framing.custom_messages import CustomMessage
+from serial_communication.framing.rows import BOARD, FILE, Kind
 from serial_communication.link.announcement import BoardAnnouncement
 from serial_communication.link.connection import Connection
 from serial_communication.link.link import Link
@@ -34,6 +35,21 @@ from serial_communication.link.stamps import Stamps
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.simulation.line import SimulatedLine
 from serial_communication.transport.port import Port
+
+
+custom_messages = partial(CAR.read, 'messages')
+settings = partial(CAR.read, 'settings')
+
+
+def read_rows(rows: Dict[str, Any], origin: str = FILE) -> List[Any]:
+    """Messages, commands and settings of a board that sends on its own."""
+    return [row for name, given in rows.items()
+            for row in CAR.group_of(given).read({name: given}, 'rows', origin)]
+
+
+def read_functions(rows: Dict[str, Any], origin: str = FILE) -> List[Any]:
+    """Functions of the bus."""
+    return BUS.groups[0].read(rows, 'rows', origin)
 
 
 class ControlBoard(BusBoard):
@@ -97,7 +113,7 @@ class Robot:
             self.link = ArduinoLink(
                 port, ArduinoSettings(**parameters), on_message=self._publish,
                 on_calibrating=lambda on: self.calibrating.append((world.clock(), on)),
-                messages=[row.kind for row in self.rows(rows) if not row.is_command], **options)
+                messages=[row.message for row in read_rows(rows) if row.kind is Kind.FROM], **options)
             self.link.output.motor.awake(world.clock())
         elif kind == 'mcu':
             self.link = McuLink(
@@ -119,18 +135,15 @@ class Robot:
             world.random.uniform(0.0, 0.3), lambda: self._use(text))
         self._made: List[Callable[[], None]] = []
         self.functions: Dict[str, Any] = {}     # of the bus
-        self.grippers = [row.kind for row in self.rows(rows) if row.is_command]    # or none now
+        self.grippers = [row.message for row in read_rows(rows)
+                         if row.kind is Kind.TO]    # or none now
 
     def use_functions(self, rows: Dict[str, Any], announced: bool) -> None:
         """Use these functions of the bus."""
-        self.functions = {each.name: each._replace(announced=announced)
-                          for each in read_functions(rows)}
+        self.functions = {each.name: each for each in read_functions(
+            rows, BOARD if announced else FILE)}
         self.link.stops = [(each.make_request(()), each) for each in self.functions.values()
                            if each.interrupts]
-
-    @staticmethod
-    def rows(rows: Dict[str, Any]) -> List[CustomMessage]:
-        return custom_messages({name: row for name, row in rows.items() if 'setting' not in row})
 
     def _publish(self, message: Any, stamp: float) -> None:
         self.published.append((self.world.clock(), type(message).__name__, tuple(message), stamp))
@@ -143,16 +156,14 @@ class Robot:
         announced = read_announcement(text)
         if self.kind == 'bus':
             self.use_functions(announced.rows, True)
-        for row in self.rows(announced.rows) if self.kind != 'bus' else ():
-            row.kind.ANNOUNCED = True
-            if row.is_command:
-                self.grippers.append(row.kind)
+        for row in read_rows(announced.rows, BOARD) if self.kind != 'bus' else ():
+            if row.kind is Kind.SETTING:
+                self._made.append(self.link.board_settings.add(row))
+            elif row.kind is Kind.TO:
+                self.grippers.append(row.message)
             else:
-                self.link.decoder.add_message(row.kind)
-                self._made.append(lambda kind=row.kind: self.link.decoder.remove_message(kind))
-        for setting in settings({
-                name: row for name, row in announced.rows.items() if 'setting' in row}):
-            self._made.append(self.link.board_settings.add(setting, announced=True))
+                self.link.decoder.add_message(row.message)
+                self._made.append(partial(self.link.decoder.remove_message, row.message))
         self.link.announcement.use(text, announced.firmware, list(announced.rows))
 
     # -- what people and programs do -----------------------------------------------------------

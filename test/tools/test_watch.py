@@ -52,12 +52,13 @@ def test_known_topics_are_listed_in_the_tables_order_before_others():
 
 
 GAUGE = '''
-from serial_communication.boards.description import CustomRows, Description, Topic
+from serial_communication.boards.description import Description, Topic
+from serial_communication.framing.rows import Group
 DESCRIPTION = Description(
     'gauge', __name__, lambda sent, parameters: None, 'rain gauge',
     topics=(Topic('rain', 'std_msgs/Float32', period_parameter='every'),
             Topic('rain/battery', 'std_msgs/Float32', 5.0)),
-    custom=CustomRows('rows', list, 'rain/'))
+    groups=(Group('rows', 'rain/'),))
 '''
 
 

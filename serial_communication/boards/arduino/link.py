@@ -119,7 +119,8 @@ class ArduinoLink(Link):
 
     def add_motion(self, zero: LayoutMessage) -> None:
         """Have ~stop send this message: the zero of a command that moves something."""
-        self.output.add_motion(zero)
+        if not wire.is_speed_0(zero):       # the output has that one built in
+            self.output.add_motion(zero)
 
     def remove_motion(self, zero: LayoutMessage) -> None:
         """Undo `add_motion`."""

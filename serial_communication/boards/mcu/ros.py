@@ -1,7 +1,6 @@
 """The mcu link in ROS: its parameters and its topics."""
-from functools import partial
 from math import inf, nan, pi, radians
-from typing import Any, Dict, List, Optional, Tuple, Type
+from typing import Any, Dict, Optional, Type
 
 import rospy
 from sensor_msgs.msg import Range
@@ -10,13 +9,14 @@ from serial_communication.msg import McuStatus, McuStatus2
 
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
-from ...ros.custom_topics import MessageTopics, message_rows, names_of
+from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
 from ...ros.publishing import publisher, wanted
+from ...ros.rows import row_parameters
 from ...transport.port import Port
-from . import DESCRIPTION, settings, wire
+from . import DESCRIPTION, wire
 from .link import McuLink
 
 _NOT_CONNECTED = 0xFFFF   # in place of a reading; no sensor measures it
@@ -34,9 +34,7 @@ class McuInterface(Interface):
         'timeout': seconds(1.0, 0.01, 3600.0),
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
-        'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
-        'settings': Parameter({}, parse=settings),
-        'announcements': Parameter(True),
+        **row_parameters(DESCRIPTION),
         'board_time': Parameter(True),
         'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
         'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
@@ -53,6 +51,7 @@ class McuInterface(Interface):
     }
     MOUNTS = ('imu', 'range_1', 'range_2')
     link: McuLink
+    binder: Binder
 
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
@@ -64,16 +63,11 @@ class McuInterface(Interface):
         self._imu = ImuTopic('mcu/imu', p)
         self._missing = self._logged = ''    # the sensors without a value, now and in the log
         self._missing_since = 0.0
-        self._topics = MessageTopics(DESCRIPTION, p)
         self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
-                            network_silence=p['network_silence'],
-                            messages=self._topics.custom_kinds, board_time=p['board_time'],
+                            network_silence=p['network_silence'], board_time=p['board_time'],
                             **link_options._asdict())
-        for row in p['settings']:
-            self.link.board_settings.add(row)
-        if p['announcements']:
-            self.announced = self._topics.announced(self.link)
+        self.binder = Binder(DESCRIPTION, self.link, p)
 
     @staticmethod
     def problem(parameters: Dict[str, Any]) -> str:
@@ -81,13 +75,9 @@ class McuInterface(Interface):
         return '' if low < high else \
             f'min_range is {low:g} m, has to be less than mcu/max_range, which is {high:g} m'
 
-    @staticmethod
-    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
-        return names_of(parameters['messages'], 'mcu/')
-
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
         if message.TYPE not in wire.MESSAGES:
-            self._topics.publish(message, stamp)
+            self.binder.publish(message, stamp)
             return
         now = self.link.now()
         age = now - (self.link.last_frame_at or now)

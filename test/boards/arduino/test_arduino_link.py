@@ -5,7 +5,7 @@ import re
 import pytest
 
 from steps import MemoryPort, Steps
-from serial_communication.boards.arduino import settings as arduino_settings
+from board_rows import car_settings as arduino_settings
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
 from serial_communication.boards.arduino.wire import (ImuCalibration, LedCommand, SpeedCommand,

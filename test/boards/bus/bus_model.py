@@ -199,7 +199,7 @@ class Model:
                   'air': bus.Environment.LAYOUT, 'poll air': bus.Environment.LAYOUT,
                   'poll one': _VALUE, 'poll two': _VALUE}.get(kind, bus.NO_DATA)
         slow = kind in ('lift', 'gimbal')
-        function = bus.Function(kind, request.cmd2, request.cmd1, reply=layout,
+        function = bus.Function(kind, request.cmd2, cmd1=request.cmd1, reply=layout,
                                 repeatable=kind not in UNREPEATABLE, interrupts=kind == 'stop',
                                 announced=kind == 'own')
         call = Call(request, function, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, 3 - number % 3,
