@@ -96,8 +96,9 @@ class Description:
     @property
     def published(self) -> List[Topic]:
         """All of its topics with data: its own, and those of built-in rows."""
-        return [*self.topics, *(Topic(self.name_of(row), row.ros_type, row.period or None, card=None)
-                                for row in self.rows if row.kind is Kind.FROM)]
+        return [*self.topics, *(
+            Topic(self.name_of(row), row.ros_type, row.period or None, card=None)
+            for row in self.rows if row.kind is Kind.FROM)]
 
     @property
     def names(self) -> List[str]:

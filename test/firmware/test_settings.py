@@ -54,7 +54,7 @@ def test_the_rows_of_a_sketch_are_valid(sketch, tmp_path):
     announcement = read_announcement(ast.literal_eval(f'({literal})').encode())
     assert announcement.problems == [] and announcement.firmware
     settings = {name: row for name, row in announcement.rows.items() if 'setting' in row}
-    read = read_settings(settings, 'rows')
+    read = car_settings(settings)
     assert len(read) >= 2 and all(row.unit and row.description for row in read)
 
 

@@ -19,6 +19,9 @@ FORCE = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': [
 PUMP = {'cmd2': 48, 'srv_type': 'std_srvs/SetBool',
         'request': {'layout': '<?', 'fields': ['data']}}
 
+DRIVE = {'type': 40, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Twist', 'layout': '<hh',
+         'fields': ['linear.x', 'angular.z'], 'scale': 0.001}
+
 
 def one(row, **changes):
     """The message of a row with some keys changed; None removes a key."""
@@ -243,6 +246,36 @@ def test_a_custom_function():
         assert str(polled.name_reply(other)) == str(other)
 
 
+# -- motions --------------------------------------------------------------------------------------
+
+def test_twists_are_motions_by_default_and_other_commands_may_be():
+    arm = dict(DRIVE, ros_type='std_msgs/Int16', layout='<h', fields=['data'])
+    assert [one(row).motion for row in (
+        DRIVE, dict(DRIVE, ros_type='geometry_msgs/TwistStamped'), dict(DRIVE, motion=False), arm,
+        dict(arm, motion=True), FORCE)] == [True, True, False, False, True, False]
+    assert one(DRIVE, motion=False, layout='<h*', fields=['data']).layout.layout == '<h*'
+
+
+def test_the_zero_of_a_motion_is_0_by_scale_and_offset_and_raw_0_where_left_out():
+    row = one(DRIVE, layout='<BhB?', fields=['', 'linear.x', 'angular.z', 'linear.y'],
+              scale=[1, 0.5, 0.1, 1], offset=[7, -1, -12.8, 0])
+    assert row.zero.pack() == b'\0\2\0\x80\0'
+
+
+@pytest.mark.parametrize('given, sent, why', [
+    ((0.25, -1.5), (0.25, -1.5), ''), ((0.6000000238418579, 0), (0.6000000238418579, 0), ''),
+    ((-0.7, 0.1), (-0.6, 0.1), 'name: linear.x is -0.7, out of range, sent -0.6'),
+    ((0.1, 1e9), (0.1, 32.767), 'name: angular.z is 1e+09, out of range, sent 32.767'),
+    ((math.nan, 1), (0, 0), 'name: linear.x is nan, sent 0'),
+    ((0.1, -math.inf), (0, 0), 'name: angular.z is -inf, sent 0')])
+def test_a_motion_is_saturated_and_what_is_not_finite_is_the_zero(given, sent, why):
+    row = one(DRIVE, minimum=[-0.6, -math.inf], maximum=[0.6, math.inf])
+    values, reason = row.saturated(given)
+    assert (tuple(values), reason) == (sent, why)
+    row.message(*values).pack()
+    assert not row.message(*values).implausible()
+
+
 # -- mistakes -------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize('row, changes, key, words', [
@@ -306,6 +339,13 @@ def test_a_custom_function():
     (FORCE, {'minimum': [10**5000]}, 'minimum', '(list), may be a number'),
     (FORCE, {'frame_id': ['x'] * 10**5}, 'frame_id', '… (list), may be text'),
     (FORCE, {'frame\nid': 'x'}, 'frame\ufffdid', 'is not a key of a row'),
+    (FORCE, {'motion': True}, 'motion', 'has no meaning beside direction: from_board'),
+    (DRIVE, {'motion': 1}, 'motion', 'may be true or false'),
+    (DRIVE, {'layout': '<h*', 'fields': ['data']}, 'layout', 'numbers and bools alone'),
+    (DRIVE, {'layout': '<hs'}, 'layout', 'of a fixed length: it is a motion'),
+    (DRIVE, {'minimum': 0.1}, 'minimum', 'has to allow the zero of a motion'),
+    (DRIVE, {'maximum': [1, -0.1]}, 'maximum', 'has to allow the zero of a motion'),
+    (DRIVE, {'layout': '<BB', 'offset': 0.1}, 'offset', 'has to allow the zero of a motion'),
     (FORCE, {'invalid': 'none'}, 'invalid', "is 'none' (str), may be a number, or a list of 1"),
     (FORCE, {'invalid': float('nan')}, 'invalid', 'may be a number, or a list of 1'),
     (FORCE, {'invalid': [1, 2]}, 'invalid', 'or a list of 1 with a number or an empty text'),

@@ -23,8 +23,8 @@ TRUTHS = ('roi.do_rectify',)
 
 def published_as(ros_type, layout):
     """The class of a message with one value, which is published in the field `data`."""
-    row, = read_rows(DESCRIPTION, 'messages', {'own': {'type': 32, 'ros_type': f'std_msgs/{ros_type}',
-                                              'layout': layout, 'fields': ['data']}})
+    row, = read_rows(DESCRIPTION, 'messages', {'own': {
+        'type': 32, 'ros_type': f'std_msgs/{ros_type}', 'layout': layout, 'fields': ['data']}})
     return row.row.message
 
 
@@ -112,7 +112,8 @@ def test_any_values_of_any_rows_are_published_and_sent_back_unchanged(cases):
         entries[f'to{index}'] = dict(row, type=120 + index, direction='to_board')
     checked, _ = check({'arduino': {'messages': entries}}, '/node')
     rows = {row.row.name: row for row in checked['arduino/messages']}
-    decoder = wire.Decoder(messages=[rows[f'from{index}'].row.message for index in range(len(cases))])
+    decoder = wire.Decoder(messages=[
+        rows[f'from{index}'].row.message for index in range(len(cases))])
     for index, (row, raws) in enumerate(cases):
         data = encoded(row['layout'], raws)
         there, back = rows[f'from{index}'], rows[f'to{index}']

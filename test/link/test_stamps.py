@@ -208,7 +208,7 @@ def test_without_board_time_the_clock_is_ignored(logger):
 
 def test_a_row_with_the_boards_time_has_its_stamp(logger):
     row, = car_messages({'force': {'type': 32, 'ros_type': 'a/B', 'layout': '<Ih',
-                                      'fields': ['@time', 'x']}})
+                                   'fields': ['@time', 'x']}})
     car = Car(logger, messages=[row.message])
     for _ in range(30):
         car.now += PERIOD

@@ -62,7 +62,7 @@ def test_simulated_values_cover_their_range_and_stay_in_it(values, range_of):
 
 def test_no_value_is_played_sometimes():
     custom, = car_messages({'any': dict(type=99, ros_type='a/B', layout='<Hh*', minimum=0,
-                                           fields=['a', 'b'], maximum=9, invalid=[65535, -1])})
+                                        fields=['a', 'b'], maximum=9, invalid=[65535, -1])})
     layout = custom.layout
     texts = [layout.text(layout.unpack(layout.pack(simulated_values(layout, tick / 10))))
              for tick in range(100)]
@@ -72,7 +72,7 @@ def test_no_value_is_played_sometimes():
 
 def test_a_simulated_text_is_cut_to_its_place():
     custom, = car_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
-                                           fields=['a', 'b'])})
+                                        fields=['a', 'b'])})
     assert simulated_values(custom.layout, 5.0) == ('sim', 'simulated 5')
 
 

@@ -30,7 +30,8 @@ DESCRIPTION = Description(
         _row('steering_angle', Kind.FROM, wire.SteeringAngle,
              'serial_communication/SteeringFeedback', period=0.01),
         _row('speed', Kind.TO, wire.SpeedCommand, 'serial_communication/SpeedPWMCommand',
-             motion=True, newest=True),
+             motion=True, newest=True, layout=Layout('<h', [
+                 Value('value', minimum=-wire.SPEED_LIMIT, maximum=wire.SPEED_LIMIT)])),
         _row('steering', Kind.TO, wire.SteeringCommand,
              'serial_communication/SteeringPWMCommand', newest=True),
         _row('led', Kind.TO, wire.LedCommand, 'std_msgs/String',

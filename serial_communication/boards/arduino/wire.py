@@ -72,7 +72,7 @@ class Log(namedtuple('Log', 'severity text')):
 
 
 SpeedCommand = message_class(
-    'SpeedCommand', 4, '<h', [Value('value', minimum=-SPEED_LIMIT, maximum=SPEED_LIMIT)], 'speed',
+    'SpeedCommand', 4, '<h', [Value('value')], 'speed',
     'SPEED_CMD, us -> board: PWM of the drive motor, -1000 … 1000.')
 SteeringCommand = message_class(
     'SteeringCommand', 5, '<H', [Value('value')], 'steering',

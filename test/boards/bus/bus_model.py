@@ -14,6 +14,7 @@ from typing import List, NamedTuple, Optional
 
 from serial_communication.boards.bus.call import NOT_SENT, TIMEOUT, Call
 from serial_communication.boards.bus.master import Master
+from serial_communication.framing.rows import BOARD, FILE
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.layout import Layout
@@ -201,7 +202,7 @@ class Model:
         slow = kind in ('lift', 'gimbal')
         function = bus.Function(kind, request.cmd2, cmd1=request.cmd1, reply=layout,
                                 repeatable=kind not in UNREPEATABLE, interrupts=kind == 'stop',
-                                announced=kind == 'own')
+                                origin=BOARD if kind == 'own' else FILE)
         call = Call(request, function, MOTION_TIMEOUT if slow else REPLY_TIMEOUT, 3 - number % 3,
                     self.now, kind in POLLS)
         self.asked.append(ModelCall(call, kind, self.now, self.board.readings))

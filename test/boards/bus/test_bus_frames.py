@@ -60,12 +60,12 @@ def test_default_request_helpers_make_the_documented_frames():
 
 
 @pytest.mark.parametrize('build, direction, amount, text', [
-    (bus.lift, 2, 10, 'lift: direction is 2, may be 0 (up), 1 (down)'),
+    (bus.lift, 2, 10, 'lift: direction is 2, out of range (0 … 1)'),
     (bus.lift, -1, 10, 'direction is -1'),
-    (bus.lift, 0, 256, 'lift: distance is 256 mm, may be 0 to 255'),
+    (bus.lift, 0, 256, 'distance is 256, which its place (B) cannot hold'),
     (bus.lift, 0, -1, 'distance is -1'),
-    (bus.gimbal, 4, 10, 'gimbal: direction is 4, may be 0 (left), 1 (right), 2 (up), 3 (down)'),
-    (bus.gimbal, 3, 256, 'gimbal: angle is 256 degrees, may be 0 to 255'),
+    (bus.gimbal, 4, 10, 'gimbal: direction is 4, out of range (0 … 3)'),
+    (bus.gimbal, 3, 256, 'angle is 256, which its place (B) cannot hold'),
 ])
 def test_moves_out_of_range_are_refused_with_the_range(build, direction, amount, text):
     with pytest.raises(ValueError) as refusal:

@@ -13,7 +13,7 @@ SYNC = bus.encode_request(bus.SYNC_REQUEST)
 LIFT_10 = bus.encode_request(bus.lift(0, 10))
 STOP = bus.Request(bus.FUNCTION, 0x2F)
 STOPS = functions({'halt': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True,
-                                 'interrupts': True}})
+                            'interrupts': True}})
 
 
 def make(synchronised=True, **arguments):

@@ -10,5 +10,6 @@ def _decoder(sent, parameters):
 
 
 DESCRIPTION = Description(
-    'scale', __name__, _decoder, groups=(Group('messages', 'scale/', (Kind.FROM,), range(3, 16), 8),),
+    'scale', __name__, _decoder,
+    groups=(Group('messages', 'scale/', (Kind.FROM,), range(3, 16), 8),),
     heartbeat=Heartbeat(wire.Hold.TYPE, longest_gap=0.2), baud=9600, between=b'\n')
