@@ -59,11 +59,7 @@ class Heartbeat(NamedTuple):
 
 @dataclass(frozen=True)
 class Description:
-    """One board.
-
-    Raises:
-        ValueError: two topics or services have the same name.
-    """
+    """One board."""
 
     name: str       # of its link in logs, diagnostics, serial_msg and parameters
     package: str    # import name of its folder: __name__
@@ -87,11 +83,6 @@ class Description:
     network_silence: float = 0.0
     # A frame that changes nothing, for a board that is silent until it is asked.
     question: bytes = b''
-
-    def __post_init__(self) -> None:
-        twice = named_twice(self.names)
-        if twice:
-            raise ValueError(f'the board {self.name} names two topics or services {twice}')
 
     @property
     def published(self) -> List[Topic]:
@@ -145,8 +136,3 @@ class Description:
     def interface(self) -> Any:
         """The board's class on the ROS side: see `ros.interface.Interface`."""
         return importlib.import_module(self.package + '.ros').INTERFACE
-
-
-def named_twice(names: Sequence[str]) -> str:
-    """The names that are there more than once, as text."""
-    return ' and '.join(sorted({name for name in names if names.count(name) > 1}))

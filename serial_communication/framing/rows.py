@@ -421,68 +421,53 @@ class _Keys:
                 raise self._error('fields', f'may have {path} once')
         if BOARD_TIME in paths and not may_be_timed:
             raise self._error('fields', f'may have {BOARD_TIME} in a message from the board')
-        scales = self._each('scale', count, 1, lambda n: abs(n) < inf and n != 0, 'a number but 0')
-        offsets = self._each('offset', count, 0, lambda n: abs(n) < inf)
+        scales = self._each('scale', count, 1, lambda n: _is_number(n) and n != 0 and abs(n) < inf,
+                            'a number but 0')
+        offsets = self._each('offset', count, 0, lambda n: _is_number(n) and abs(n) < inf)
         minima, maxima = self._each('minimum', count, -inf), self._each('maximum', count, inf)
+        invalid = self._each('invalid', count, '', lambda n: n == '' or _is_number(n),
+                             'a number, or an empty text for none')
         values = Layout(layout, [
-            Value(path, 'us') if path == BOARD_TIME else
-            Value(path, '', scale, offset, minimum, maximum) for path, scale, offset, minimum,
-            maximum in zip(paths, scales, offsets, minima, maxima)]).values
-        if any(value.name == BOARD_TIME and (value.code != 'I' or value.kind != 'number')
-               for value in values):
-            raise self._error('fields', f'may have {BOARD_TIME} at an I of the layout')
-        self._check_limits(values)
-        return Layout(layout, self._with_invalid(values))
+            Value(path, 'us') if path == BOARD_TIME else Value(
+                path, '', _factor(scale), _factor(offset), minimum, maximum)
+            for path, scale, offset, minimum, maximum in zip(
+                paths, scales, offsets, minima, maxima)]).values
+        for value in values:
+            if value.name == BOARD_TIME and (value.code != 'I' or value.kind != 'number'):
+                raise self._error('fields', f'may have {BOARD_TIME} at an I of the layout')
+            if value.minimum > value.maximum:
+                raise self._error('minimum', f'may be at most the maximum, {value.maximum:g}')
+        return Layout(layout, self._with_invalid(values, invalid))
 
-    def _each(self, key: str, count: int, default: float,
-              may_be: Callable[[float], bool] = lambda n: True,
-              allowed: str = 'a number') -> List[float]:
+    def _each(self, key: str, count: int, default: Any,
+              may_be: Callable[[Any], bool] = lambda n: _is_number(n),
+              allowed: str = 'a number') -> List[Any]:
         """A number for each value, from a list or from one number for all."""
         given = self.given.get(key, default)
         numbers = given if type(given) is list else [given] * count
-        if len(numbers) != count or not all(
-                _is_number(number) and may_be(number) for number in numbers):
+        if len(numbers) != count or not all(map(may_be, numbers)):
             raise self._error(key, f'may be {allowed}, or a list of {count}')
-        # Whole numbers stay whole, except where a product with a raw number could overflow a float.
-        return [number if abs(number) < _HUGE else float(number) for number in numbers]
+        return numbers
 
-    def _enough(self, key: str, fits: Sequence[bool]) -> bool:
-        """Whether the numbers in a list fit all values, or one number for all fits any of them."""
-        return all(fits) if type(self.given[key]) is list else any(fits)
+    def _with_invalid(self, values: Sequence[Value], invalid: Sequence[Any]) -> List[Value]:
+        """The values with their raw numbers that mean "no value".
 
-    def _with_invalid(self, values: Sequence[Value]) -> List[Value]:
-        """The values with their raw numbers that mean "no value"; in a list '' means none."""
-        if 'invalid' not in self.given:
-            return list(values)
-        given = self.given['invalid']
-        numbers = given if type(given) is list else [given] * len(values)
-        if len(numbers) != len(values) or not all(
-                _is_number(number) or number == '' and type(given) is list for number in numbers):
-            raise self._error('invalid', f'may be a number, or a list of {len(values)} with a '
-                              'number or an empty text for each value')
-        fits = [number == '' or value.name != BOARD_TIME and value.holds(number)
-                for number, value in zip(numbers, values)]
-        if not self._enough('invalid', fits):
-            code = values[fits.index(False)].code if values else ''
+        A list has to fit all values; one number for all has to fit one of them.
+        """
+        fits = [value.name != BOARD_TIME and number != '' and value.holds(number)
+                for value, number in zip(values, invalid)]
+        misfits = [value.code for value, number, fit in zip(values, invalid, fits)
+                   if number != '' and not fit]
+        if misfits and (type(self.given['invalid']) is list or not any(fits)):
             raise self._error('invalid', 'may be a raw number that its place '
-                              f'({code}) can hold exactly')
-        return [value._replace(invalid=number) if fit and number != '' else value
-                for number, fit, value in zip(numbers, fits, values)]
+                              f'({misfits[0]}) can hold exactly')
+        return [value._replace(invalid=number) if fit else value
+                for value, number, fit in zip(values, invalid, fits)]
 
-    def _check_limits(self, values: Sequence[Value]) -> None:
-        """Refuse a limit that no raw number reaches, and a minimum above its maximum."""
-        limited = [value for value in values
-                   if value.name not in ('', BOARD_TIME) and value.kind != 'text']
-        for key in ('minimum', 'maximum'):
-            fits = [any(value.range[0] <= made <= value.range[1] or abs(made) == inf
-                        for made in value.made_of(getattr(value, key))) for value in limited]
-            if limited and self.given.get(key) is not None and not self._enough(key, fits):
-                low, high = limited[fits.index(False)].range
-                raise self._error(key, f'may be from {low:.10g} to {high:.10g}, which is what its '
-                                  'place holds')
-        for value in limited:
-            if value.minimum > value.maximum:
-                raise self._error('minimum', f'may be at most the maximum, {value.maximum:g}')
+
+def _factor(number: Any) -> Any:
+    """Whole numbers stay whole, except where a product with a raw number could overflow a float."""
+    return number if abs(number) < _HUGE else float(number)
 
 
 def _is_number(value: Any) -> bool:

@@ -2,12 +2,11 @@
 import logging
 import operator
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ..link.link import Link
 from .binder import Binder
 from .parameter import Parameters
-from .rows import rows_in
 
 
 class LinkOptions(NamedTuple):
@@ -50,11 +49,6 @@ class Interface(ABC):
         The text begins with the name of one of them.
         """
         return ''
-
-    @staticmethod
-    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
-        """Return the topics and services that parameters add: (name, the parameter's name)."""
-        return [(each.name, each.row.key) for each in rows_in(parameters)]
 
     def advertise(self) -> None:
         """Offer what needs code of its own; the rows are there."""

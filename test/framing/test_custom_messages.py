@@ -306,8 +306,6 @@ def test_a_motion_is_saturated_and_what_is_not_finite_is_the_zero(given, sent, w
     (FORCE, {'layout': '<I', 'fields': ['@time'], 'direction': 'to_board'}, 'fields',
      'may have @time in a message from the board'),
     (FORCE, {'constants': {'@time': 1}}, 'constants', 'the path of each field'),
-    (FORCE, {'layout': '<Ih', 'fields': ['@time', 'data'], 'maximum': 400}, 'maximum',
-     'from -327.68 to 327.67'),
     (FORCE, {'layout': '<Ib', 'fields': ['@time', 'data'], 'maximum': None, 'invalid': 255},
      'invalid', 'its place (I)'),
     (PUMP, {'request': {'layout': '<I', 'fields': ['@time']}}, 'request/fields',
@@ -317,11 +315,6 @@ def test_a_motion_is_saturated_and_what_is_not_finite_is_the_zero(given, sent, w
     (FORCE, {'scale': 0}, 'scale', 'may be a number but 0'),
     (FORCE, {'scale': [1, 2]}, 'scale', 'or a list of 1'),
     (FORCE, {'offset': float('inf')}, 'offset', 'may be a number'),
-    (FORCE, {'maximum': 400}, 'maximum', 'from -327.68 to 327.67'),
-    (FORCE, {'layout': '<Bh', 'fields': ['a', 'b'], 'scale': 1, 'maximum': [300, 300]}, 'maximum',
-     'from 0 to 255'),
-    (FORCE, {'layout': '<Bh', 'fields': ['a', 'b'], 'scale': 1, 'maximum': 33000}, 'maximum',
-     'from 0 to 255'),
     (FORCE, {'minimum': 200, 'maximum': 100}, 'minimum', 'at most the maximum, 100'),
     (FORCE, {'frame_id': 5}, 'frame_id', 'may be text'),
     (FORCE, {'constants': True}, 'constants', 'may be a group with a value for the path'),
@@ -346,9 +339,9 @@ def test_a_motion_is_saturated_and_what_is_not_finite_is_the_zero(given, sent, w
     (DRIVE, {'minimum': 0.1}, 'minimum', 'has to allow the zero of a motion'),
     (DRIVE, {'maximum': [1, -0.1]}, 'maximum', 'has to allow the zero of a motion'),
     (DRIVE, {'layout': '<BB', 'offset': 0.1}, 'offset', 'has to allow the zero of a motion'),
-    (FORCE, {'invalid': 'none'}, 'invalid', "is 'none' (str), may be a number, or a list of 1"),
-    (FORCE, {'invalid': float('nan')}, 'invalid', 'may be a number, or a list of 1'),
-    (FORCE, {'invalid': [1, 2]}, 'invalid', 'or a list of 1 with a number or an empty text'),
+    (FORCE, {'invalid': 'none'}, 'invalid', "is 'none' (str), may be a number, or an empty"),
+    (FORCE, {'invalid': float('nan')}, 'invalid', 'or a list of 1'),
+    (FORCE, {'invalid': [1, 2]}, 'invalid', 'or a list of 1'),
     (FORCE, {'invalid': 40000}, 'invalid', 'is 40000 (int), may be a raw number that its'),
     (FORCE, {'invalid': 0.5}, 'invalid', 'may be a raw number that its place (h) can hold exactly'),
     (FORCE, {'layout': '<f', 'invalid': 0.1}, 'invalid', 'its place (f) can hold exactly'),
@@ -444,13 +437,6 @@ def test_a_very_large_integer_scale_makes_a_value_infinite():
     value, = kind.unpack(b'\xff' * 7 + b'\x7f')
     assert math.isinf(value) and str(kind(value)) == 'name data=inf'
     assert message('<q', ['data'], scale=10**9).unpack(b'\7' + bytes(7)) == (7 * 10**9,)
-
-
-def test_one_limit_for_several_values_has_to_be_in_the_range_of_one_of_them():
-    kind = message('<BBh', ['', 'a', 'b'], maximum=1000)
-    assert received(kind, b'\xff\xff\xe8\3')[1] == {}
-    assert received(kind, b'\xff\xff\xe9\3')[1] == {IMPLAUSIBLE: 1}
-    message('<Bh', ['', 'a'], maximum=[1000, 5])
 
 
 def test_no_rows_make_no_messages():
