@@ -377,7 +377,7 @@ class _Keys:
         for value in layout.values:
             for key, excludes in ('minimum', value.limits[0] > 0), ('maximum',
                                                                     value.limits[1] < 0):
-                if value.name and excludes:
+                if excludes:
                     raise self._error(key, 'has to allow the zero of a motion')
         try:
             layout.pack([0] * len(layout.values))
