@@ -504,10 +504,10 @@ class Mistakes(unittest.TestCase):
         battery = dict(FORCE, ros_type='sensor_msgs/BatteryState', fields=['voltage'])
         for constants, key in (
                 ({'presnt': True}, ''), ({'present': 1}, '/present'), ({'charge': True}, '/charge'),
-                ({'charge': 'full'}, ''), ({'charge': 1e39}, '/charge'),
+                ({'charge': 'full'}, '/charge'), ({'charge': 1e39}, '/charge'),
                 ({'power_supply_status': 256}, '/power_supply_status'),
-                ({'power_supply_status': 0.5}, '/power_supply_status'), ({'location': 5}, ''),
-                ({'cell_voltage': 3.7}, ''), ({'header.stamp': 0}, ''),
+                ({'power_supply_status': 0.5}, '/power_supply_status'), ({'location': 5}, '/location'),
+                ({'cell_voltage': 3.7}, '/cell_voltage'), ({'header.stamp': 0}, '/header.stamp'),
                 ({'header.frame_id': 'base'}, '/header.frame_id'), ({'voltage': 12.0}, '')):
             self.assert_mistake('arduino/messages', 'pack', dict(battery, constants=constants),
                                 '/constants' + key)
@@ -531,7 +531,8 @@ class Mistakes(unittest.TestCase):
                 ({'constants': {'pose.covariance': [1] * 7}}, '/constants/pose.covariance'),
                 ({'constants': {'pose.covariance': [1] * 6, 'pose.covariance[0]': 1}},
                  '/constants'),
-                ({'constants': {'pose.covariance': [1] * 5 + ['x']}}, '/constants'),
+                ({'constants': {'pose.covariance': [1] * 5 + ['x']}},
+                 '/constants/pose.covariance[35]'),
                 ({'constants': {'header.seq': [1]}}, '/constants/header.seq'),
                 ({'layout': '<hh', 'fields': [yaw, yaw.replace('yaw', 'z')]}, '/fields'),
                 ({'fields': ['pose.pose.yaw']}, '/fields'), ({'fields': [yaw + '.x']}, '/fields'),
