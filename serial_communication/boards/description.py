@@ -8,7 +8,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
 
-from ..framing.rows import BOARD, SETTING_KEY, Group, Kind, Row, RowError
+from ..framing.row_reader import Group
+from ..framing.rows import BOARD, Kind, Row, RowError
 from ..framing.stream import Decoder
 
 BAUD_RANGE = 50, 4000000    # of a port
@@ -119,7 +120,7 @@ class Description:
 
     def group_of(self, given: Any) -> Group:
         """What a row, as a board announces it, is one of."""
-        is_setting = isinstance(given, dict) and SETTING_KEY in given
+        is_setting = isinstance(given, dict) and 'setting' in given
         return next((group for group in self.groups
                      if (Kind.SETTING in group.kinds) == is_setting), self.groups[0])
 

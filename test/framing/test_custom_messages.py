@@ -319,7 +319,6 @@ def test_a_motion_is_saturated_and_what_is_not_finite_is_the_zero(given, sent, w
     (FORCE, {'frame_id': 5}, 'frame_id', 'may be text'),
     (FORCE, {'constants': True}, 'constants', 'may be a group with a value for the path'),
     (FORCE, {'constants': {'a b': 1}}, 'constants', 'may be a group with a value for the path'),
-    (FORCE, {'constants': {'list': [[1]]}}, 'constants/list', 'a text, or a list of these'),
     (FORCE, {'child_frame_id': 5}, 'child_frame_id', 'may be text'),
     (FORCE, {'child_frame_id': 'base_link'}, 'child_frame_id', 'needs a frame_id, of another'),
     (FORCE, {'child_frame_id': 'a', 'frame_id': 'a'}, 'child_frame_id', 'needs a frame_id, of ano'),

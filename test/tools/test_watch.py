@@ -53,7 +53,7 @@ def test_known_topics_are_listed_in_the_tables_order_before_others():
 
 GAUGE = '''
 from serial_communication.boards.description import Description, Topic
-from serial_communication.framing.rows import Group
+from serial_communication.framing.row_reader import Group
 DESCRIPTION = Description(
     'gauge', __name__, lambda sent, parameters: None, 'rain gauge',
     topics=(Topic('rain', 'std_msgs/Float32', period_parameter='every'),

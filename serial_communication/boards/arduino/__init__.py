@@ -2,7 +2,8 @@
 from typing import Any, Mapping
 
 from ...framing.layout import Layout, Value
-from ...framing.rows import RESERVED, Group, Kind, Row, Setting
+from ...framing.row_reader import RESERVED, Group
+from ...framing.rows import Kind, Row, Setting
 from ...framing.settings import message_of
 from ...framing.stream import Decoder
 from ..description import Description, Heartbeat, Service, Topic

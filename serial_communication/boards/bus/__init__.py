@@ -1,7 +1,8 @@
 """The control board on robot-ctrl-bus: lift, gimbal and environment sensors."""
 from typing import Any, Mapping
 
-from ...framing.rows import Group, Kind
+from ...framing.row_reader import Group
+from ...framing.rows import Kind
 from ...framing.stream import Decoder
 from ..description import Description, Field, Service, Topic
 from . import wire

@@ -1,7 +1,8 @@
 """The ESP32 with two range sensors and an IMU, or with ADC channels."""
 from typing import Any, Mapping
 
-from ...framing.rows import RESERVED, Group, Kind, Setting
+from ...framing.row_reader import RESERVED, Group
+from ...framing.rows import Kind, Setting
 from ...framing.settings import message_of
 from ...framing.stream import Decoder
 from ..description import Description, Service, Topic

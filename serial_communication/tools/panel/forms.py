@@ -9,7 +9,8 @@ import roslib.message
 
 from ...boards.description import Description, Field
 from ...framing.layout import FRACTIONS, Value
-from ...framing.rows import Group, Kind, RowError, Setting
+from ...framing.row_reader import Group
+from ...framing.rows import Kind, RowError, Setting
 from ...ros.rows import RosRow, read_rows
 from ...ros.settings import Reconfigure
 from ..watch.topics import given_rows

@@ -12,7 +12,7 @@ from ...boards import BOARDS, description, descriptions
 from ...boards.config_file import board_packages, board_parameters
 from ...boards.description import ANNOUNCED, Description
 from ...framing.layout import BOARD_TIME
-from ...framing.rows import Group
+from ...framing.row_reader import Group
 
 NODE = '/serial_communication'           # the bridge's default name
 LINKS = BOARDS                           # in this order, before links of other packages

@@ -1,6 +1,7 @@
 """A board of another package, for the tests of `wire`: a crane scale."""
 from serial_communication.boards.description import Description, Heartbeat
-from serial_communication.framing.rows import Group, Kind
+from serial_communication.framing.row_reader import Group
+from serial_communication.framing.rows import Kind
 
 from . import wire
 
