@@ -6,7 +6,7 @@ The modules with the link, ROS and the simulator are imported when they are used
 import importlib
 import math
 from dataclasses import dataclass, field
-from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..framing.row_reader import Group
 from ..framing.rows import BOARD, Kind, Row, RowError

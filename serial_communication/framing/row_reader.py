@@ -6,8 +6,9 @@ import re
 from math import inf, isnan, nan
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tuple
 
-from .layout import BOARD_TIME, EMPTY, FRACTIONS, Layout, Value, count_values, message_class, shortest
-from .rows import BOARD, FILE, Kind, Row, RowError, Setting, refuse_second_number
+from .layout import (BOARD_TIME, EMPTY, FRACTIONS, Layout, Value, count_values, message_class,
+                     shortest)
+from .rows import BOARD, FILE, Kind, Row, RowError, refuse_second_number
 
 # Types from this one on have a meaning of their own on every link: settings, time, announcements.
 RESERVED = 253
@@ -207,7 +208,7 @@ class _Keys:
         """Refuse a motion that cannot be stopped by a zero of a fixed length."""
         if not all(value.kind == 'number' for value in layout.values):
             raise self.error('layout', 'may have numbers and bools alone, of a fixed length: it '
-                              'is a motion (else: motion: false)')
+                             'is a motion (else: motion: false)')
         for value in layout.values:
             for key, excludes in ('minimum', value.limits[0] > 0), ('maximum',
                                                                     value.limits[1] < 0):
@@ -239,17 +240,17 @@ class _Keys:
                 type(path) is str and (path == BOARD_TIME or _PATH.fullmatch(path))
                 for path in paths):
             raise self.error('fields', 'may be a list with the path of a field for each value, '
-                              'as [vector.x, "", position[2]]')
+                             'as [vector.x, "", position[2]]')
         try:
             count = count_values(layout, longest)
         except ValueError as error:
             raise self.error('layout', 'may be a format of Python\'s struct, as <hB: '
-                              f'{error}') from None
+                             f'{error}') from None
         if count is None:
             raise self.error('layout', f'may have at most {longest} bytes')
         if len(paths) != count:
             raise self.error('fields', f'may be a list of {count}, one for each value of the '
-                              f'layout {layout}')
+                             f'layout {layout}')
         for path in paths:
             if path and paths.count(path) > 1:
                 raise self.error('fields', f'may have {path} once')
@@ -294,7 +295,7 @@ class _Keys:
                    if number != '' and not fit]
         if misfits and (type(self.given['invalid']) is list or not any(fits)):
             raise self.error('invalid', 'may be a raw number that its place '
-                              f'({misfits[0]}) can hold exactly')
+                             f'({misfits[0]}) can hold exactly')
         return [value._replace(invalid=number) if fit else value
                 for value, number, fit in zip(values, invalid, fits)]
 

@@ -506,7 +506,8 @@ class Mistakes(unittest.TestCase):
                 ({'presnt': True}, ''), ({'present': 1}, '/present'), ({'charge': True}, '/charge'),
                 ({'charge': 'full'}, '/charge'), ({'charge': 1e39}, '/charge'),
                 ({'power_supply_status': 256}, '/power_supply_status'),
-                ({'power_supply_status': 0.5}, '/power_supply_status'), ({'location': 5}, '/location'),
+                ({'power_supply_status': 0.5}, '/power_supply_status'),
+                ({'location': 5}, '/location'),
                 ({'cell_voltage': 3.7}, '/cell_voltage'), ({'header.stamp': 0}, '/header.stamp'),
                 ({'header.frame_id': 'base'}, '/header.frame_id'), ({'voltage': 12.0}, '')):
             self.assert_mistake('arduino/messages', 'pack', dict(battery, constants=constants),
