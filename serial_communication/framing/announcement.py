@@ -189,15 +189,6 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(each)
 
 
-def _on_one_line(value: Any) -> Any:
-    """The row without control characters in its texts: a text of a file may have several lines."""
-    if isinstance(value, str):
-        return value if value == readable(value) else readable(' '.join(value.split()))
-    if isinstance(value, dict):
-        return {key: _on_one_line(each) for key, each in value.items()}
-    return [_on_one_line(each) for each in value] if isinstance(value, (list, tuple)) else value
-
-
 def write_announcement(rows: Dict[str, Any], firmware: str = '') -> bytes:
     """The text that announces these rows, as `read_announcement` reads it.
 
@@ -209,7 +200,7 @@ def write_announcement(rows: Dict[str, Any], firmware: str = '') -> bytes:
     dumper = type('Dumper', (yaml.SafeDumper,), {'ignore_aliases': lambda self, data: True})
     lines = [f'firmware: {firmware}'] if firmware else []
     for name, row in rows.items():
-        flow = yaml.dump({name: _on_one_line(row)}, Dumper=dumper, default_flow_style=True,
+        flow = yaml.dump({name: row}, Dumper=dumper, default_flow_style=True,
                          sort_keys=False, width=float('inf'), allow_unicode=True)
         lines.append(flow.strip()[1:-1])       # without the braces of the group
     text = ''.join(line + '\n' for line in lines).encode()

@@ -16,7 +16,7 @@ MOTIONS = 'geometry_msgs/Twist', 'geometry_msgs/TwistStamped'     # by default
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 _STEP = r'[A-Za-z][A-Za-z0-9_]*(\[[0-9]{1,9}\])?'
 _PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
-_HUGE = 2 ** 64     # greater than any raw number
+_HUGE = 1e30        # so that a product of whole numbers fits a float
 _LAYOUT_KEYS = 'layout', 'fields', 'scale', 'offset', 'minimum', 'maximum', 'invalid'
 _TOPIC_KEYS = 'ros_type', 'frame_id', 'child_frame_id', 'constants'
 _KEYS = {
@@ -256,17 +256,16 @@ class _Keys:
                 raise self.error('fields', f'may have {path} once')
         if BOARD_TIME in paths and not may_be_timed:
             raise self.error('fields', f'may have {BOARD_TIME} in a message from the board')
-        scales = self._each('scale', count, 1, lambda n: _is_number(n) and n != 0 and abs(n) < inf,
+        scales = self._each('scale', count, 1, lambda n: _is_number(n) and 0 != abs(n) < _HUGE,
                             'a number but 0')
-        offsets = self._each('offset', count, 0, lambda n: _is_number(n) and abs(n) < inf)
+        offsets = self._each('offset', count, 0, lambda n: _is_number(n) and abs(n) < _HUGE)
         minima, maxima = self._each('minimum', count, -inf), self._each('maximum', count, inf)
         invalid = self._each('invalid', count, '', lambda n: n == '' or _is_number(n),
                              'a number, or an empty text for none')
         values = Layout(layout, [
-            Value(path, 'us') if path == BOARD_TIME else Value(
-                path, '', _factor(scale), _factor(offset), minimum, maximum)
-            for path, scale, offset, minimum, maximum in zip(
-                paths, scales, offsets, minima, maxima)]).values
+            Value(path, 'us') if path == BOARD_TIME else
+            Value(path, '', scale, offset, minimum, maximum) for path, scale, offset, minimum,
+            maximum in zip(paths, scales, offsets, minima, maxima)]).values
         for value in values:
             if value.name == BOARD_TIME and (value.code != 'I' or value.kind != 'number'):
                 raise self.error('fields', f'may have {BOARD_TIME} at an I of the layout')
@@ -298,11 +297,6 @@ class _Keys:
                              f'({misfits[0]}) can hold exactly')
         return [value._replace(invalid=number) if fit else value
                 for value, number, fit in zip(values, invalid, fits)]
-
-
-def _factor(number: Any) -> Any:
-    """Whole numbers stay whole, except where a product with a raw number could overflow a float."""
-    return number if abs(number) < _HUGE else float(number)
 
 
 def _is_number(value: Any) -> bool:

@@ -50,12 +50,9 @@ def _found(name: str, kind: str) -> Any:
         return None
     find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
     try:
-        found = find(name)
+        return find(name)
     except (Exception, SystemExit):  # pylint: disable=broad-except
         return None     # the module of that name may be anything
-    return found if getattr(found, '_type', '') == name and (
-        hasattr(found, '_slot_types') if kind == 'msg' else hasattr(found, '_request_class')
-    ) else None
 
 
 class _Place(NamedTuple):

@@ -168,7 +168,7 @@ def _offer_lending(link: Link) -> None:
 def _accept_all_calls() -> None:
     """Let all calls wait that come during a stall. rospy lets six wait, and the others' callers try
     again seconds later, when a call looks new."""
-    with suppress(AttributeError):      # a private part of rospy
+    with suppress(AttributeError, OSError):     # a private part of rospy; closed as the node ends
         tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(socket.SOMAXCONN)
 
 

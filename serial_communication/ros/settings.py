@@ -9,6 +9,9 @@ from types import SimpleNamespace
 from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
 
 import rospy
+from dynamic_reconfigure.encoding import encode_config, encode_description, get_tree
+from dynamic_reconfigure.msg import Config, ConfigDescription
+from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
 from ..framing.layout import FRACTIONS
 from ..framing.rows import Setting
@@ -16,13 +19,6 @@ from ..link.link import Link
 from ..link.sparing_log import SparingLog
 from .latest_worker import LatestWorker
 from .parameter import ParameterError
-
-try:
-    from dynamic_reconfigure.encoding import encode_config, encode_description, get_tree
-    from dynamic_reconfigure.msg import Config, ConfigDescription
-    from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
-except ImportError:
-    Config = Reconfigure = None
 
 PARAMETER = 'settings'     # of the node: values by link and name
 _ANSWER = 0.48             # s that a call waits for the board
@@ -98,19 +94,12 @@ class SettingsServer:
         self._name = f'~{PARAMETER}/{link.name}'
         self._server: Optional[Tuple[rospy.Publisher, rospy.Publisher, rospy.Service]] = None
         self._published: List[Any] = [None, None]     # the latest description and values
-        self._is_told = False     # that dynamic_reconfigure is missing
         self._settings.on_change = partial(worker.submit, self.update)
 
     def update(self) -> None:
         """Publish what has changed, and set the parameters; in the worker's thread."""
         rows = self._settings.rows
-        if rows and Config is None:
-            if not self._is_told:
-                self._is_told = True
-                self._link.log.always_warn(
-                    'dynamic_reconfigure is not installed: settings can only be set by the '
-                    f'parameters {self._name}/NAME at the start')
-        elif rows:
+        if rows:
             self._publish(rows)
         elif self._server:
             descriptions, updates, service = self._server

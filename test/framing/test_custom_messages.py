@@ -431,11 +431,10 @@ def test_an_invalid_name_is_reported_in_one_line():
     assert str(mistake.value).startswith("arduino/messages/a\ufffd\ufffd\ufffd is 'a\\n")
 
 
-def test_a_very_large_integer_scale_makes_a_value_infinite():
-    kind = message('<q', ['data'], scale=10**300)
-    value, = kind.unpack(b'\xff' * 7 + b'\x7f')
-    assert math.isinf(value) and str(kind(value)) == 'name data=inf'
+def test_a_whole_scale_keeps_whole_numbers_and_has_to_fit_a_float():
     assert message('<q', ['data'], scale=10**9).unpack(b'\7' + bytes(7)) == (7 * 10**9,)
+    with pytest.raises(RowError, match='scale is 1'):
+        message('<q', ['data'], scale=10**300)
 
 
 def test_no_rows_make_no_messages():

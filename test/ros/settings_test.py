@@ -245,30 +245,6 @@ class OtherBridges(unittest.TestCase):
                                   'settings': {'arduino': value}})
             self.assertRegex(bridge.wait_for('parameter /other/settings'), words)
 
-    def test_without_dynamic_reconfigure_one_line_says_so_and_parameters_work(self):
-        line = Line(os.path.join(self.folder, 'car')).plug()
-        self.addCleanup(line.unplug)
-        car = TunableCar(line.far)
-        self.addCleanup(car.close)
-        hidden = os.path.join(self.folder, 'dynamic_reconfigure')
-        os.mkdir(hidden)
-        with open(os.path.join(hidden, '__init__.py'), 'w') as file:
-            file.write('raise ImportError("hidden by the test")\n')
-        path = os.environ.get('PYTHONPATH', '')
-        os.environ['PYTHONPATH'] = self.folder + ':' + path
-        try:
-            bridge = self.bridge({'arduino/port': line.near, 'arduino/settings': ROWS,
-                                  'settings': {'arduino': {'kp': 2.0}}})
-        finally:
-            os.environ['PYTHONPATH'] = path
-        bridge.wait_for('dynamic_reconfigure is not installed')
-        until(lambda: car.values[1] == 2.0, 'the parameter is used')
-        for number in (2, 3) * 20:
-            car.values[2] += 1
-            car.report(number)
-        car.wait_for_heartbeats(100)
-        self.assertEqual(bridge.output().count('dynamic_reconfigure'), 1)
-
     def test_a_new_master_has_the_server_and_the_values(self):
         line = Line(os.path.join(self.folder, 'car')).plug()
         self.addCleanup(line.unplug)

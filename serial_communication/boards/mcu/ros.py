@@ -20,7 +20,6 @@ from . import DESCRIPTION, wire
 from .link import McuLink
 
 _NOT_CONNECTED = 0xFFFF   # in place of a reading; no sensor measures it
-_MISSING = 1.0            # s that a value is missing or back before it is logged
 
 
 class McuInterface(Interface):
@@ -61,8 +60,6 @@ class McuInterface(Interface):
         self._status = publisher('mcu/status', McuStatus2)
         self._adc_status = publisher('mcu/adc_status', McuStatus)
         self._imu = ImuTopic('mcu/imu', p)
-        self._missing = self._logged = ''    # the sensors without a value, now and in the log
-        self._missing_since = 0.0
         self.link = McuLink(Port(p['port'], p['baud']), p['timeout'],
                             on_status=self._received, on_silence=self._silent,
                             network_silence=p['network_silence'], board_time=p['board_time'],
@@ -86,7 +83,6 @@ class McuInterface(Interface):
                 self._adc_status.publish(stamp, seq, True, True, self.link.checksum_errors, age,
                                          *message)
             return
-        self._log_missing(message.missing, now)
         if wanted(self._status):
             self._status.publish(stamp, seq, True, message.valid, self.link.checksum_errors, age,
                                  *message)
@@ -98,18 +94,6 @@ class McuInterface(Interface):
         if message.angles_known and self._imu.is_wanted:
             self._imu.publish(stamp, quaternion(radians(message.roll), radians(message.pitch),
                                                 radians(message.yaw) * self._turn))
-
-    def _log_missing(self, missing: str, now: float) -> None:
-        if missing != self._missing:
-            self._missing, self._missing_since = missing, now
-        if missing == self._logged or now < self._missing_since + _MISSING:
-            return
-        self._logged = missing
-        if missing:
-            self.link.log.warn('missing', f'no value of {missing}: the board starts such a sensor '
-                               'again every second; check its wires')
-        else:
-            self.link.log.info('complete', 'all sensors have values again')
 
     def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
         if kind and kind.TYPE not in wire.MESSAGES:

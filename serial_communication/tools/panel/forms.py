@@ -118,10 +118,10 @@ def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str,
 
 
 def settings(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
-    """The boards' settings, by parameter, if dynamic_reconfigure is installed here."""
+    """The boards' settings, by parameter."""
     found: Dict[str, Service] = {}
     for board, group, name, row in _rows(boards, parameters):
-        if Kind.SETTING not in group.kinds or Reconfigure is None:
+        if Kind.SETTING not in group.kinds:
             continue
         try:
             setting, = board.read(group.parameter, {name: row})
