@@ -50,6 +50,14 @@ class Writer:
             self._admit(request, now, stamp)
             self.transmit(self._session.submit(request, now), now)
 
+    def write(self, decide: Callable[[float], Sequence[Packet]]) -> None:
+        """Write what `decide` returns, with the lock held; if the port is closed nothing is."""
+        with self._session.lock:
+            now = self._now()
+            packets = decide(now)
+            if self._port.is_usable:
+                self.transmit(packets, now)
+
     def _admit(self, request: Any, now: float, stamp: Any) -> None:
         """Raise Refused for a request that the port or a stall does not allow."""
         may_be_old = self._session.may_be_old(request)
@@ -122,8 +130,8 @@ class Writer:
         """Begin anew if bytes wait in a port that sends nothing."""
         if not self.output.is_stuck(self._port.unsent(), now, longest):
             return
+        self.output.stands = True
         if self._session.reads(now):
-            self.output.stands = True
             self.begin_anew('the port takes no data')
         else:
             self._port.renew(keeps_input=True)

@@ -60,7 +60,7 @@ class CommandTopic:
             whether it was latched or not.
     """
 
-    def __init__(self, name: str, message_class: Any, send: Callable[[Any], None],
+    def __init__(self, name: str, message_class: Any, send: Callable[[Any, Any], None],
                  label: Callable[[Any], str], log: SparingLog, age_limit: float,
                  queue_size: int = 10,
                  stops: Callable[[Any], bool] = lambda message: False) -> None:
@@ -93,11 +93,16 @@ class CommandTopic:
                 if self._connections is None:
                     return      # while subscribing: the connection's thread handles it later
                 self._refuse_if_old(message, self._connections)
-                self._send(message)     # before `close` returns
+                self._send(message, self._stamp_of(message))     # before `close` returns
         except Refused as refused:
             self._log.warn(f'{self._name} refused: {refused.cause}', str(refused))
         except ValueError as error:
             self._log.warn(f'{self._name} refused', f'{self._name} refused: {error}')
+
+    @staticmethod
+    def _stamp_of(message: Any) -> Any:
+        """When a message was made; None: it does not say that."""
+        return getattr(getattr(message, 'header', None), 'stamp', None) or None
 
     def _refuse_if_old(self, message: Any, connections: NewestConnections) -> None:
         connection = message._connection_header     # one object for each connection

@@ -3,12 +3,12 @@ import pytest
 
 from steps import Steps
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import announcement
 from serial_communication.boards.bus.call import Call
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.boards.mcu.link import McuLink
+from links import McuLink
 from serial_communication.framing.announcement import Assembly, chunks_of
 from serial_communication.link.session import Refused
 from serial_communication.link.outcome import TIMEOUT, Outcome

@@ -5,7 +5,7 @@ import pytest
 
 from steps import Steps
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.boards.arduino.session import CarOptions
 from serial_communication.boards.arduino.wire import LedCommand, SpeedCommand, SteeringCommand
 from serial_communication.framing.layout import Value, message_class

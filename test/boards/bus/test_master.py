@@ -1,5 +1,6 @@
 """The Master's session as a state machine: every rule; the tests set the time."""
 import logging
+from dataclasses import replace
 
 import pytest
 
@@ -9,6 +10,7 @@ from serial_communication.boards.bus.master import Master
 from serial_communication.boards.bus.session import (ECHO_TRIES, TRANSITIONS, Event, Kind,
                                                      SessionState)
 from serial_communication.framing.layout import Layout, Value
+from serial_communication.framing.rows import BOARD
 from serial_communication.framing.stream import CHECKSUM, FRAMING, Frame, invalid_frame
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.link.sparing_log import SparingLog
@@ -28,13 +30,13 @@ FUNCTIONS = {name: bus.built_in(request, bus.Function(name, request.cmd2))
              for name, request in REQUESTS.items()}
 FUNCTIONS.update(
     raw=bus.RAW,
-    stop=FUNCTIONS['stop']._replace(repeatable=True, interrupts=True),
-    read=FUNCTIONS['read']._replace(repeatable=True, reply=TWO_BYTES),
-    other=FUNCTIONS['other']._replace(repeatable=True, reply=TWO_BYTES),
-    twice=FUNCTIONS['twice']._replace(repeatable=True),
-    two=FUNCTIONS['two']._replace(reply=Layout('<2x', ())),
-    own=FUNCTIONS['own']._replace(announced=True),
-    ownstop=FUNCTIONS['ownstop']._replace(repeatable=True, interrupts=True, announced=True))
+    stop=replace(FUNCTIONS['stop'], repeatable=True, interrupts=True),
+    read=replace(FUNCTIONS['read'], repeatable=True, reply=TWO_BYTES),
+    other=replace(FUNCTIONS['other'], repeatable=True, reply=TWO_BYTES),
+    twice=replace(FUNCTIONS['twice'], repeatable=True),
+    two=replace(FUNCTIONS['two'], reply=Layout('<2x', ())),
+    own=replace(FUNCTIONS['own'], origin=BOARD),
+    ownstop=replace(FUNCTIONS['ownstop'], repeatable=True, interrupts=True, origin=BOARD))
 STATES = {'not known': TIMEOUT, 'not sent': NOT_SENT, 'refused': bus.ERROR, 'invalid': bus.INVALID}
 
 
@@ -85,7 +87,7 @@ class Session:
 
     def call(self, name, tries=3, poll=False, on_success=None, **changes):
         """Submit a call as `BusLink` makes it."""
-        function = FUNCTIONS[name]._replace(**changes)
+        function = replace(FUNCTIONS[name], **changes)
         self.calls[name] = call = Call(
             REQUESTS[name], function, self._motion_timeout if function.moves else REPLY_TIMEOUT,
             tries, self.now, poll, on_success)
