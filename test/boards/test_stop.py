@@ -33,7 +33,7 @@ def condition(link):
 @pytest.fixture
 def car(logger):
     steps = Steps(ArduinoLink, CarOptions(speed_timeout=0.0), logger=logger)
-    steps.link.add_motion(ZERO)
+    steps.link.session.add_motion(ZERO)
     return steps
 
 
