@@ -48,7 +48,8 @@ def test_zeros_are_sent_and_what_moves_is_refused_until_it_is_released(car):
     car.run(0.5)
     assert all(car.port.wrote.count(zero) >= 4 for zero in zeros), 'the line may lose one'
     for command in (lambda: link.set_speed(1), lambda: link.command(Drive(0, 1)),
-                    lambda: link.command(Horn(0)), link.calibrate_imu):
+                    lambda: link.command(Horn(0)),
+                    lambda: link.command(arduino.ImuCalibration())):
         with pytest.raises(Refused, match=STOPPED) as refused:
             command()
         assert refused.value.cause == 'stopped'
