@@ -8,7 +8,6 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Empty, EmptyResponse
 
 from ...link.outcome import Refused
-from ...link.outcome import NOT_SENT, Outcome
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
