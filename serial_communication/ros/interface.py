@@ -51,15 +51,7 @@ class Interface(ABC):
 
     @abstractmethod
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
-        """Create the link and the topics from the board."""
-
-    @staticmethod
-    def problem(parameters: Dict[str, Any]) -> str:
-        """Return what is wrong with several parameters together; '' if nothing is.
-
-        The text begins with the name of one of them.
-        """
-        return ''
+        """Create the link and the topics from the board; ParameterError ends the node."""
 
     def advertise(self) -> None:
         """Offer what needs code of its own; the rows are there."""

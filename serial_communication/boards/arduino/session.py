@@ -3,7 +3,7 @@ and what its measurements mean.
 
 Only this module, `motion` and `calibration` decide what may reach the motor.
 """
-from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Type
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
@@ -13,7 +13,7 @@ from ...link.outcome import STOPPED
 from ...link.session import OK, WARN, Condition, Packet, Refused, Session
 from ...link.settings import BoardSettings
 from ...link.sparing_log import SparingLog
-from ...transport.pace import Allowance, clock
+from ...transport.pace import Allowance
 from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import Calibration, End
 from .heartbeats import Heartbeats
