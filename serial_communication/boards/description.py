@@ -5,7 +5,7 @@ The modules with the link, ROS and the simulator are imported when they are used
 """
 import importlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..framing.row_reader import Group
@@ -66,8 +66,6 @@ class Description:
     topics: Tuple[Topic, ...] = ()           # with code of their own
     services: Tuple[Service, ...] = ()       # that the page offers
     other_names: Tuple[str, ...] = ()        # of other topics and services
-    # Parameters, false by default, that change how bytes are decoded, with their meaning.
-    wire_flags: Mapping[str, str] = field(default_factory=dict)
     longest_gap: Optional[float] = None      # s without heartbeat; then the board stops its motor
     baud: int = 115200               # of the port, if its parameters have none: see `baud_of`
     # Bytes that end a frame, are never inside one, and may also separate two frames.

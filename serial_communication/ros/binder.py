@@ -22,7 +22,6 @@ from .publishing import publisher, wanted
 from .rows import ODOMETRY, RosRow, resolve, rows_in
 from .settings import SettingsServer, for_xml_rpc
 
-_LABEL = 100     # characters of a command's values in a warning
 _WAITING = 10    # commands that may wait
 
 
@@ -197,21 +196,16 @@ class Binder:
         row, link = ros_row.row, self.link
         zero = row.zero if row.motion else None
 
-        def values_of(message: Any) -> Sequence:
+        def read(message: Any) -> Any:
             values = ros_row.fields.read(message)
-            if not row.motion:
-                return values
-            values, why = row.saturated(values)
-            if why:
-                link.log.warn(f'{row.name} saturated', why)
-            return values
+            if row.motion:
+                values, why = row.saturated(values)
+                if why:
+                    link.log.warn(f'{row.name} saturated', why)
+            return row.message(*values)
 
-        topic = CommandTopic(
-            ros_row.name, ros_row.ros_class, lambda message, stamp: link.writer.submit(
-                row.message(*values_of(message)), stamp),
-            lambda message: str(ros_row.read(message))[:_LABEL], link.log,
-            self._p['command_age'], queue_size=1 if row.newest else _WAITING,
-            stops=lambda message: zero is not None and tuple(values_of(message)) == tuple(zero))
+        topic = CommandTopic(ros_row.name, ros_row.ros_class, read, link.writer.submit, zero,
+                             link.log, self._p['command_age'], 1 if row.newest else _WAITING)
         if zero is None:
             return topic.close
         link.session.add_motion(zero)

@@ -4,7 +4,6 @@ dynamic_reconfigure's own Server has a fixed list of parameters, and calls the m
 its lock. So this module has the topics and the service of one, with dynamic_reconfigure's messages.
 """
 from functools import partial
-from math import inf
 from types import SimpleNamespace
 from typing import Any, Dict, Iterable, List, Mapping
 
@@ -14,7 +13,7 @@ from dynamic_reconfigure.msg import Config, ConfigDescription
 from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
 from ..framing.layout import FRACTIONS
-from ..framing.rows import Setting
+from ..framing.rows import RowError, Setting
 from ..link.link import Link
 from ..link.settings import Shown
 from .latest_worker import LatestWorker
@@ -70,8 +69,7 @@ class SettingsServer:
                 row.checked(value)
             except ValueError as error:
                 name = rospy.resolve_name(f'~{PARAMETER}/{link.name}/{row.name}')
-                raise ParameterError(f'parameter {name} is {value!r} ({type(value).__name__}), '
-                                     f'{error}') from None
+                raise ParameterError(f'parameter {RowError(name, value, str(error))}') from None
         self._link = link
         self._settings: Any = link.session.board_settings
         self._settings.wanted.update(values)
@@ -161,8 +159,8 @@ def _type(row: Setting) -> type:
 def _description(rows: List[Setting]) -> Any:
     types = {row.name: _type(row) for row in rows}
     return encode_description(SimpleNamespace(
-        min={row.name: types[row.name](_limit(row, row.minimum)) for row in rows},
-        max={row.name: types[row.name](_limit(row, row.maximum)) for row in rows},
+        min={row.name: types[row.name](row.minimum) for row in rows},
+        max={row.name: types[row.name](row.maximum) for row in rows},
         defaults={row.name: types[row.name](row.default) for row in rows},
         config_description={
             'name': 'Default', 'id': 0, 'parent': 0, 'type': '', 'groups': [],
@@ -171,10 +169,3 @@ def _description(rows: List[Setting]) -> Any:
                 'type': {bool: 'bool', int: 'int', float: 'double'}[types[row.name]],
                 'description': f'{row.description} [{row.unit}]' if row.unit else row.description,
             } for row in rows]}))
-
-
-def _limit(row: Setting, limit: float) -> float:
-    """A limit of a row; infinite for a float without one."""
-    if row.code in FRACTIONS and limit in row.layout.values[1].range:
-        return inf if limit > 0 else -inf
-    return limit
