@@ -61,7 +61,6 @@ class BoardSettings:
         self.wanted: Dict[str, Any] = {}     # by name, also of rows that are not there now
         self._kind = message_of(())
         self._states: Dict[str, _State] = {}
-        self._by_number: Dict[int, _State] = {}
         self._allowance = Allowance(*_RATE)
         self._log, self._use, self._wake = log, use, wake
         self._changed = threading.Condition()
@@ -85,9 +84,7 @@ class BoardSettings:
         return remove
 
     def _rows_changed(self) -> None:
-        states = self._states.values()
-        self._by_number = {state.row.number: state for state in states}
-        self._kind = message_of(state.row for state in states)
+        self._kind = message_of(state.row for state in self._states.values())
         self._use(self._kind)
 
     def want(self, name: str, value: Any) -> None:
@@ -136,7 +133,8 @@ class BoardSettings:
             is_current: whether the announced rows are known to be those of the board.
         """
         with self._changed:
-            state = self._by_number.get(message.number)
+            state = next((each for each in self._states.values()
+                          if each.row.number == message.number), None)
             if state is None or state.row.announced and not is_current \
                     or type(message) is not self._kind:     # decoded before the rows changed
                 return

@@ -164,9 +164,8 @@ class Binder:
                         raise RowError(row.key, name, f'has the name of {user}')
                     accepted.append(resolve(self._board, row))
                 elif other != row:
-                    same = 'name' if other.name == name else row.number_key
                     said.append(f'the announced row {name} is left out: the parameter {other.key} '
-                                f'has the same {same}, differs, and takes precedence')
+                                'differs, and takes precedence')
             except RowError as error:
                 said.append(f'an announced row is left out: {error}')
         return accepted

@@ -7,12 +7,12 @@ import signal
 import sys
 import time
 from functools import partial
-from typing import Any, Callable, Dict, Tuple
+from typing import Any, Dict, Tuple
 
 import rospy
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger
 
-from serial_communication.srv import Release, ReleaseResponse
+from serial_communication.srv import Release
 
 from ..boards.description import ANNOUNCED
 from ..link.link import Link
@@ -51,8 +51,6 @@ def main() -> None:
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     name = full_name(_NAME)
-    for number in signal.SIGINT, signal.SIGTERM:    # until rospy has handlers
-        signal.signal(number, signal.default_int_handler)
     rospy.on_shutdown(partial(starting.end_within, _LAST_RESORT, 0))
     status = 1
     try:
@@ -128,25 +126,24 @@ def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
 
 
 def _offer_lending(link: Link) -> None:
-    rospy.Service(f'~{link.name}/release', Release, lambda request: ReleaseResponse(
-        *_answer(partial(_lend, link, request))))
-    rospy.Service(f'~{link.name}/reset', Trigger, lambda _: TriggerResponse(
-        *_answer(link.lending.reset)))
+    """Offer the services; each answers whether it is done, and what to say."""
+    def release(request: Any) -> Tuple[bool, str]:
+        try:
+            text = link.lending.lend(request.by, request.seconds)
+        except Refused as refused:
+            return False, str(refused)
+        if request.seconds and not link.lending.closed.wait(_CLOSES):
+            return False, 'the link did not close its port in time'
+        return True, text
 
+    def reset(_request: Any) -> Tuple[bool, str]:
+        try:
+            return True, link.lending.reset()
+        except Refused as refused:
+            return False, str(refused)
 
-def _lend(link: Link, request: Any) -> str:
-    text = link.lending.lend(request.by, request.seconds)
-    if request.seconds and not link.lending.closed.wait(_CLOSES):
-        raise Refused('the link did not close its port in time', 'late')
-    return text
-
-
-def _answer(ask: Callable[[], str]) -> Tuple[bool, str]:
-    """Whether what was asked for is done, and what to say."""
-    try:
-        return True, ask()
-    except Refused as refused:
-        return False, str(refused)
+    rospy.Service(f'~{link.name}/release', Release, release)
+    rospy.Service(f'~{link.name}/reset', Trigger, reset)
 
 
 class Bridge:
