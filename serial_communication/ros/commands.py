@@ -17,29 +17,6 @@ _LABEL = 100                # characters of a command in a warning
 _MOST_PUBLISHERS = 1000     # names to remember; each call of rostopic has a new one
 
 
-class NewestConnections:
-    """Finds the messages of connections whose publisher has made a newer one."""
-
-    def __init__(self, subscriber: rospy.Subscriber) -> None:
-        self._subscriber = subscriber
-        self._replaced: Dict[int, Any] = {}     # headers of those that have newer ones, by their id
-
-    def is_replaced(self, header: Dict[str, str]) -> bool:
-        """Return whether the publisher has made a newer connection, even if that has closed."""
-        try:
-            # rospy keeps them in the order in which it made them. One without a header is not
-            # ready.
-            alive = [each.header for each in self._subscriber.impl.connections if each.header]
-        except AttributeError:      # another rospy
-            return False
-        sender = header.get('callerid', '')
-        older = [each for each in alive if each.get('callerid', '') == sender][:-1]
-        ids = {id(each) for each in alive}
-        self._replaced = {id(each): each for each in (*self._replaced.values(), *older)
-                          if id(each) in ids}
-        return id(header) in self._replaced or id(header) not in ids
-
-
 class CommandTopic:
     """A subscription whose messages are sent to the board, or refused with a warning.
 
@@ -71,19 +48,18 @@ class CommandTopic:
         self._age_limit = age_limit if message_class._has_header else 0.0
         self._latest: Dict[str, Any] = {}   # connection by publisher; the last to send comes last
         self._older_publishers = _publishers(self._topic)
-        # None: not subscribed yet, or closed
-        self._connections: Optional[NewestConnections] = None
+        self._replaced: Dict[int, Any] = {}     # headers of older connections, by their id
         self._lock = threading.RLock()      # each connection has a thread; they wait for that
+        self._subscriber: Any = None        # None: not subscribed yet, or closed
         with self._lock:
             self._subscriber = rospy.Subscriber(name, message_class, self._received,
                                                 queue_size=queue_size, tcp_nodelay=True)
-            self._connections = NewestConnections(self._subscriber)
 
     def close(self) -> None:
         """Unsubscribe; messages that are received later are ignored."""
         with self._lock:
-            self._connections = None
-        self._subscriber.unregister()
+            subscriber, self._subscriber = self._subscriber, None
+        subscriber.unregister()
 
     def _received(self, message: Any) -> None:
         try:
@@ -94,18 +70,29 @@ class CommandTopic:
         stamp = getattr(getattr(message, 'header', None), 'stamp', None) or None
         try:
             with self._lock:
-                if self._connections is None:
+                if self._subscriber is None:
                     return      # while subscribing: the connection's thread handles it later
-                self._refuse_if_old(message, command, self._connections)
+                self._refuse_if_old(message, command)
                 self._send(command, stamp)     # before `close` returns
         except Refused as refused:
             self._log.warn(f'{self._name} refused: {refused.cause}',
                            f'{str(command)[:_LABEL]} refused: {refused}')
 
-    def _refuse_if_old(self, message: Any, command: Any, connections: NewestConnections) -> None:
+    def _is_replaced(self, header: Dict[str, str]) -> bool:
+        """Whether the publisher has made a newer connection, even if that has closed."""
+        # rospy keeps them in the order in which it made them. One without a header is not ready.
+        alive = [each.header for each in self._subscriber.impl.connections if each.header]
+        sender = header.get('callerid', '')
+        older = [each for each in alive if each.get('callerid', '') == sender][:-1]
+        ids = {id(each) for each in alive}
+        self._replaced = {id(each): each for each in (*self._replaced.values(), *older)
+                          if id(each) in ids}
+        return id(header) in self._replaced or id(header) not in ids
+
+    def _refuse_if_old(self, message: Any, command: Any) -> None:
         connection = message._connection_header     # one object for each connection
         sender = connection.get('callerid', '')
-        if connections.is_replaced(connection):
+        if self._is_replaced(connection):
             raise Refused(f'it was received on an old connection of {sender}; only the newest '
                           f'connection to {self._topic} is used', 'old connection')
         known = sender in self._latest
