@@ -260,8 +260,9 @@ class Binder:
     def _poll(self, ros_row: RosRow) -> Callable[[], None]:
         """Call a function with a period, and publish its replies."""
         topic = ValuePublisher(ros_row, self._p)
-        poller = self.link.session.polls.add(ros_row.row, ros_row.row.period, lambda outcome: topic.publish(
-            _values(ros_row, outcome), outcome.stamp))
+        poller = self.link.session.polls.add(
+            ros_row.row, ros_row.row.period,
+            lambda outcome: topic.publish(_values(ros_row, outcome), outcome.stamp))
 
         def take_down() -> None:
             self.link.session.polls.remove(poller)

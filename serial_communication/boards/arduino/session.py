@@ -3,7 +3,7 @@ and what its measurements mean.
 
 Only this module, `motion` and `calibration` decide what may reach the motor.
 """
-from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Type
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage

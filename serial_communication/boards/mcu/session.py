@@ -1,5 +1,5 @@
 """What the sensor board's frames mean: counts lost ones and reports when the board falls silent."""
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Type
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
