@@ -3,6 +3,7 @@ import pytest
 
 from steps import Steps
 from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.bus import wire
 from serial_communication.boards.bus.link import BusLink
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.link import lending
@@ -93,7 +94,7 @@ def test_a_car_that_calibrates_is_not_lent_and_a_lent_one_takes_no_command():
 def test_calls_on_a_lent_bus_are_not_sent():
     bus = Steps(BusLink).run(0.1)
     assert lend(bus)[0]
-    outcome = bus.link.lift(0, 100)
+    outcome = bus.link.request(wire.lift(0, 100))
     assert outcome.status == NOT_SENT and 'lent to avrdude' in outcome.message
 
 

@@ -15,11 +15,11 @@ from serial_communication.boards.arduino.motor import Motor, Stop
 from serial_communication.boards.arduino.output import CarOutput
 from serial_communication.boards.arduino.simulator import ModelCar
 from serial_communication.boards.bus import wire as bus_wire
-from serial_communication.boards.bus.call import CallQueue
+from serial_communication.boards.bus.call import Queue
 from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.link import BusLink, BusSettings
 from serial_communication.boards.bus.master import Master
-from serial_communication.boards.bus.session import Session, SessionState
+from serial_communication.boards.bus.session import Session, State
 from serial_communication.boards.bus.simulator import ControlBoard as BusBoard
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.boards.mcu.simulator import SensorBoard

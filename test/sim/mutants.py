@@ -32,21 +32,21 @@ def _returns(value: Any) -> Callable[[Callable], Callable]:
 
 MUTANTS: Dict[str, Mutant] = {
     'no fence before a call': Mutant(
-        'a fence precedes every call', of.Master, '_needs_fence', _returns(False)),
+        'a fence precedes every call', of.Session, 'is_fenced', _returns(True)),
     'a move is sent again after a timeout': Mutant(
-        'a move is never sent again after a timeout', of.CallQueue, 'try_failed',
-        lambda _method: lambda self, call, outcome, now: self._again(call, outcome, now)),
+        'a move is never sent again after a timeout', of.Queue, 'again',
+        lambda _method: lambda self, call, *_, **__: self.waiting.insert(0, call)),
     'a stop waits for its turn': Mutant(
-        'a stop is sent at once', of.Master, '_interrupt', _nothing),
+        'a stop is sent at once', of.Queue, 'urgent', _nothing),
     'an old call is sent after a stall': Mutant(
         'a call is as old as a command', of.Connection, 'may_be_from_a_stall', _returns(False)),
     'a call outlives its port': Mutant(
         'an outstanding call is not known when the port closes', of.BusLink, 'closed', _nothing),
     'no SYNC after an opening': Mutant(
-        'SYNC comes first', of.Session, 'connected', lambda _method: lambda self, now: setattr(
-            self, 'state', of.SessionState.OUT_OF_STEP)),
+        'SYNC comes first', of.Session, 'begin', lambda _method: lambda self: setattr(
+            self, 'state', of.State.OUT_OF_STEP)),
     'moves while stopped': Mutant(
-        '~stop holds on the bus', of.BusLink, '_why_not', _returns('')),
+        '~stop holds on the bus', of.BusLink, '_refuses', _returns('')),
     'the timeout of the speed is doubled': Mutant(
         'SPEED 0 after 0.5 s without a command', of.Motor, '__init__',
         lambda method: lambda self, timeout, now: method(self, 2 * timeout, now)),

@@ -3,9 +3,9 @@
 import pytest
 
 from steps import QUIET, Bus
-from serial_communication.boards.bus.polls import Poller
-from serial_communication.link.link import ERROR, OK, RX, TX, WARN
-from serial_communication.boards.bus.session import Condition
+from serial_communication.boards.bus.polls import Polls
+from serial_communication.link.link import ERROR, OK, RX, TX
+from serial_communication.boards.bus.session import Condition, Session
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.boards.bus import wire as bus
 
@@ -35,19 +35,20 @@ def test_the_environment_is_polled_and_published(logger):
     assert readings == [((350, 25.63, 48.12), 'stamp')] * 6
 
 
-def test_a_poller_skips_missed_periods():
+def test_polls_skip_missed_periods_and_wait_for_the_outcome_of_the_one_before():
     class Asked:
         outcome = 'answered'
 
     asked, now = [], [0.0]
-    poller = Poller(1.0, lambda: asked.append(now[0]) or Asked())
-    poller.start(10.0)
+    polls = Polls(lambda request, function, on_success: asked.append(now[0]) or Asked())
+    polls.add(bus.ENVIRONMENT_FUNCTION, 1.0, None)
+    polls.start(10.0)
     for now[0] in (10.0, 10.5, 11.25, 11.75, 12.0, 17.5, 18.0, 18.5, 19.0, 19.5):
-        poller.tick(now[0])
+        polls.tick(now[0], True)
     assert asked == [10.0, 11.25, 12.0, 17.5, 18.5, 19.5]
-    Asked.outcome = None        # without an outcome there is no new poll
+    Asked.outcome = None
     for now[0] in (20.5, 21.5, 22.5):
-        poller.tick(now[0])
+        polls.tick(now[0], True)
     assert len(asked) == 6
 
 
@@ -73,8 +74,8 @@ def test_a_damaged_reply_is_not_known_at_once(logger):
 
 def test_invalid_arguments_are_refused_without_sending(logger):
     link = Bus(logger=logger).run(1.0).link
-    for outcome, said in ((link.lift(2, 10), 'lift: direction is 2'),
-                          (link.gimbal(0, 256), 'angle is 256'),
+    for outcome, said in ((link.call(bus.LIFT_FUNCTION, (2, 10)), 'lift: direction is 2'),
+                          (link.call(bus.GIMBAL_FUNCTION, (0, 256)), 'angle is 256'),
                           (link.request(bus.Request(1, 0, bytes(1025))), '1025')):
         assert outcome.status == NOT_SENT and said in outcome.message
         assert 'nothing was sent' in outcome.message
@@ -84,7 +85,7 @@ def test_a_closed_port_refuses_at_once(logger):
     steps = Bus(logger=logger)
     steps.port.is_there = False
     link = steps.run(1.0).link
-    for outcome in (link.lift(0, 1), link.environment()[0]):
+    for outcome in (link.request(LIFT), link.environment()[0]):
         assert outcome.status == NOT_SENT and 'closed' in outcome.message
     assert link.report(steps.port.time).level == ERROR
 
@@ -110,16 +111,13 @@ def test_a_board_that_does_not_echo_is_an_error_that_names_the_parameter(logger,
         each for each in steps.requests if each.cmd1 == bus.ECHO]
 
 
-@pytest.mark.parametrize('condition, level, talks, word', [
-    (Condition.READY, OK, True, 'ok'), (Condition.SYNCHRONISING, WARN, None, 'not_synchronised'),
-    (Condition.OUT_OF_STEP, WARN, None, 'out_of_step'), (Condition.NO_ECHO, ERROR, None, 'no_echo'),
-    (Condition.NO_SYNC, ERROR, False, 'not_synchronised')])
-def test_each_condition_has_a_level_a_summary_and_a_word(logger, monkeypatch, condition, level,
-                                                         talks, word):
+@pytest.mark.parametrize('condition', Condition)
+def test_each_condition_has_a_level_a_summary_and_a_word(logger, monkeypatch, condition):
     link = Bus(logger=logger).run(1.0).link
-    monkeypatch.setattr(link.master, 'condition', lambda: condition)
-    assert link.condition(0.0) == (level, condition.value or 'ready')
-    assert (link.talks(0.0), link.condition_name(0.0)) == (talks, word)
+    monkeypatch.setattr(Session, 'condition', condition)
+    assert link.condition(0.0) == (condition.level, condition.text)
+    assert link.condition_name(0.0) == condition.word
+    assert link.talks(0.0) == {Condition.READY: True, Condition.NO_SYNC: False}.get(condition)
 
 
 def test_a_blocked_port_is_tried_again_only_after_a_pause(logger, lines):
@@ -143,12 +141,3 @@ def test_the_tap_sees_every_frame_both_ways(logger):
     at = names.index(('bus', TX, 'lift up 100 mm'))
     assert names[at + 1:at + 3] == [('bus', RX, 'framing'), ('bus', RX, 'OK')]
     assert tapped[at][2].raw == bus.encode_request(LIFT)
-
-
-def test_the_state_says_what_a_call_waits_for(logger):
-    steps = Bus(logger=logger, frame_timeout=60.0).run(1.0).give(b'\xa5\xf0', 0.5)
-    outcome = steps.call(LIFT)
-    assert outcome.status == NOT_SENT and not steps.moves
-    assert outcome.message == 'the link waits for the rest of an incomplete frame; nothing was sent'
-    assert steps.link.report(steps.port.time)[:2] == (
-        WARN, 'open, waits for the rest of an incomplete frame')
