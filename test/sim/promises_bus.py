@@ -188,7 +188,9 @@ def readings_are_repeated(e: Evidence) -> Verdicts:
             # It waits for its next turn for 0.8 s while the link is not in step.
             excused = closed < called.ended + SLACK or called.ended > times[-1] + 0.79 or any(
                 times[0] <= each <= called.ended for each in halts) or overlaps(
-                    e.stalls[0], called.time, called.ended)
+                    e.stalls[0], called.time, called.ended) or e.story.announces and any(
+                        times[0] <= frame.time <= called.ended      # perhaps another board's
+                        for frame in e.of_type(e.readable, SYNC))
             yield not excused, '' if excused or len(times) == 3 else \
                 f'level of {called.time:.3f} was sent at {times}, not known at {called.ended:.3f}'
 
@@ -273,12 +275,14 @@ def unheard_moves_are_not_late(e: Evidence) -> Verdicts:
     if e.story.device.kind != 'tty':
         return
     reads = [chunk.time for chunk in e.story.device.bridge_read]
+    halts = [frame.time for frame in e.wrote if frame.number == HALT]   # they stop what they follow
     for called in e.story.calls:
         if called.repeatable or told(called) != 'not known' or not called.ended:
             continue
         sent = [frame.time for frame in e.wrote
                 if (frame.type, frame.number, frame.data) == called.request]
-        if len(sent) != 1 or any(sent[0] <= each <= called.ended for each in reads):
+        if len(sent) != 1 or any(
+                sent[0] <= each <= called.ended + SLACK for each in reads + halts):
             continue
         late = [frame.time for frame in e.got if frame.time > called.ended + 0.015
                 and (frame.type, frame.number, frame.data) == called.request]

@@ -164,8 +164,9 @@ class Master:
         if call is None:
             session.state = State.IN_STEP       # the line may stand before a call comes: rule 10
             return None
-        follows_itself = call.is_poll and call.request == session.latest
-        if not follows_itself and not session.is_fenced(now):
+        needs_fence = call.function.cmd1 == wire.FUNCTION and not (
+            call.is_poll and call.request == session.latest)        # rule 6
+        if needs_fence and not session.is_fenced(now):
             return self._probe(now) if self._settings.echo else None
         self.queue.waiting.remove(call)
         call.tries -= 1

@@ -144,7 +144,7 @@ RULES = [
     # 1: one at a time, calls in order and before polls
     'call lift; call gimbal; >+ lift; > -; +1; > -; < OK; lift is done; gimbal is waiting;'
     '>+ gimbal',
-    'call lift; >+ lift; poll air; call raw; call echo; < OK; >+ raw; < OK; >+ echo; < ECHO:mine;'
+    'call lift; >+ lift; poll air; call raw; call echo; < OK; >+ raw; < OK; > echo; < ECHO:mine;'
     'echo is done; >+ air; < AIR; air is done; > -',
     # 2: SYNC first
     'close; call lift; lift is not sent; open;' + '> SYNC; > -; synchronising; +T;' + '> SYNC; +T;'
@@ -155,7 +155,7 @@ RULES = [
       for begin in ('', 'noise; > ECHO;', 'call raw; >+ raw;')),
     # 3 and 4: timeouts; what is sent again
     *(f'call {name}; >+ {name}; +M; {name} is not known; >+ -' for name in MOVES),
-    *(f'call {name}; >+ {name}; +T; >+ {name}; +T; {name} is waiting; >+ {name}; +T;'
+    *(f'noise; call {name}; >+ {name}; +T; >+ {name}; +T; {name} is waiting; >+ {name}; +T;'
       f'{name} is not known; >+ -' for name in ('air', 'read', 'echo', 'sync')),
     *(f'call {name}; call air; >+ {name}; < INVALID:{code}; {again} >+ {name}; < OK;'
       f'{name} is done; >+ air'
@@ -216,7 +216,7 @@ RULES = [
     # 12: another board
     'call own; own is not sent; announced; call own; >+ own; < OK; own is done',
     'announced; call own; > ECHO; < INVALID:10; own is not sent; > SYNC',
-    'announced; call sync; call own; >+ sync; < SYNC; own is not sent; sync is done',
+    'announced; call sync; call own; > sync; < SYNC; own is not sent; sync is done',
     f'announced; {LIFTS} < INVALID:10; call ownstop; > SYNC; ownstop is not sent']
 WITHOUT_ECHO = [
     'call lift; > lift; < OK; lift is done; call gimbal; > -; +0.019; > -; +0.002; > gimbal',
