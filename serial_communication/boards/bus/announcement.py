@@ -24,21 +24,22 @@ class AnnouncementReader:
     def __init__(self, ask: Callable[[int], Call], assembly: Assembly, log: SparingLog) -> None:
         self._ask, self._assembly, self._log = ask, assembly, log
         self._call: Optional[Call] = None       # the question that is asked
-        self._index = self._failures = 0
+        self._index = 0
+        self._failures = 0          # since a text was complete
         self._ask_at = _NEVER       # the next one
 
     def begin(self, now: float) -> None:
-        """The board may be another one, and what it answers yet another's."""
-        if self._call is None:
-            self._failures = -1
-        self._begin_again(now)
+        """The board may be another one, and what it answers yet another's: ask for all again."""
+        if self._call:
+            self._failures += 1
+        self._call, self._index = None, 0
+        self._ask_at = now + _PAUSES[min(self._failures, len(_PAUSES) - 1)]
 
-    def _begin_again(self, now: float) -> None:
-        self._call, self._index, self._ask_at = None, 0, _NEVER
+    def _failed(self, now: float) -> None:
         self._failures += 1
-        if self._failures < len(_PAUSES):
-            self._ask_at = now + _PAUSES[self._failures]
-        else:
+        self.begin(now)
+        if self._failures >= len(_PAUSES):
+            self._ask_at = _NEVER
             self._log.warn('announcement', 'the board does not answer the question for its '
                            'announcement; what it announced earlier is not used')
 
@@ -56,7 +57,7 @@ class AnnouncementReader:
         if outcome.status == NOT_SENT:
             self._ask_at = now
         elif outcome.status == TIMEOUT or outcome.error_code == wire.NOT_SYNCHRONISED:
-            self._begin_again(now)
+            self._failed(now)
         else:
             return self._assembly.whole(b'')
         return None
@@ -67,9 +68,11 @@ class AnnouncementReader:
         except ValueError as error:
             self._log.warn('announcement', str(error))
             return self._assembly.whole(b'')
-        if not self._assembly.complete:
-            self._index += 1      # not the chunk's: a board may ignore the index
-            self._ask_at = now
-            if self._index >= chunk.count:      # damaged, or changed meanwhile
-                self._begin_again(now)
-        return text
+        if self._assembly.complete:
+            self._failures = 0
+            return text
+        self._index += 1      # not the chunk's: a board may ignore the index
+        self._ask_at = now
+        if self._index >= chunk.count:      # one is damaged, or the text has changed
+            self._failed(now)
+        return None

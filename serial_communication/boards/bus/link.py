@@ -137,7 +137,7 @@ class BusLink(Link):
         self.master.session.begin()
 
     def closed(self, now: float) -> None:
-        self.master.end(self.connection.trouble)
+        self.master.end(self.connection.trouble, now)
 
     def idle(self, now: float) -> Optional[float]:
         self.master.tick(now)

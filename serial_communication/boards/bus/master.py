@@ -70,12 +70,11 @@ class Master:
 
     # -- events -------------------------------------------------------------------------
 
-    def end(self, why: str) -> None:
+    def end(self, why: str, now: float) -> None:
         """The port is closed: every call has an outcome now."""
-        exchange, self.session.exchange = self.session.exchange, None
-        self.session.state = State.CLOSED
-        if exchange and exchange.call:
-            exchange.call.finish(unknown(f'the port closed before the reply arrived ({why})'))
+        call = self.session.happened(Event.CLOSED, now)
+        if call:
+            call.finish(unknown(f'the port closed before the reply arrived ({why})'))
         self.queue.end(lambda call: call.without_reply(f'the port is closed ({why})'))
 
     def doubt(self, why: str, now: float) -> None:
@@ -91,13 +90,12 @@ class Master:
 
     def damaged(self, frame: Frame, now: float) -> None:
         """Bytes were received that are not a valid reply."""
-        call = self.session.call
         self.queue.doubt_refusals()
         # Only a frame with a wrong checksum can be the reply. After noise, for example during a
         # motion, the reply may still arrive.
-        self.session.happened(Event.FAILED if frame.cause == CHECKSUM else Event.OTHER, now,
-                              'received bytes that are no valid reply')
-        if call and not self.session.call:
+        call = self.session.happened(Event.FAILED if frame.cause == CHECKSUM else Event.OTHER, now,
+                                     'received bytes that are no valid reply')
+        if call:
             self.queue.again(call, now, unknown('the reply was damaged'))
 
     def received(self, frame: Frame, now: float) -> None:
@@ -115,9 +113,9 @@ class Master:
             event = Event.OTHER     # SYNC and ECHO do not alternate faster than ECHOs time out
         if event is Event.LOST or event is Event.ANSWER and reply.cmd1 == wire.SYNC:
             self._hooks.begun_anew(now)     # rule 12
-        session.happened(event, now, f'received {reply}, no reply to '
-                         f'{exchange.request if exchange else "a request"}')
-        if call and exchange and not session.call:
+        call = session.happened(event, now, f'received {reply}, no reply to '
+                                f'{exchange.request if exchange else "a request"}')
+        if call and exchange:
             outcome = outcome_of(reply, exchange.request, now - exchange.sent, frame.stamp)
             if error:
                 outcome = outcome._replace(message=error, as_expected=False)
@@ -220,8 +218,7 @@ class Master:
 
     def _interrupt(self, why: str, now: float) -> None:
         """A stop is sent now, whatever is outstanding; rule 8."""
-        call = self.session.call
-        self.session.happened(Event.STOP, now)
+        call = self.session.happened(Event.STOP, now)
         if call:
             self.queue.again(call, now, unknown(why))
 
@@ -257,9 +254,8 @@ class Master:
 
     def _timed_out(self, exchange: Exchange, now: float) -> None:
         """The time for the reply is over; rule 3."""
-        call = exchange.call
         self.timeouts += 1
-        self.session.happened(Event.TIMEOUT, now, 'no reply')
+        call = self.session.happened(Event.TIMEOUT, now, 'no reply')
         if call is None:
             if self.session.unanswered[exchange.kind] >= TRIES:
                 self.queue.end_but_stops(self.session.condition.text)

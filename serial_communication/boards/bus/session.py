@@ -57,6 +57,7 @@ class Event(enum.Enum):
     OTHER = 'any other reply; noise; something that may have been missed'
     TIMEOUT = 'the time for the reply is over'
     STOP = 'a call that interrupts is sent'
+    CLOSED = 'the port is closed'
 
 
 class Then(enum.Enum):
@@ -67,14 +68,15 @@ class Then(enum.Enum):
     RETRY = 'it has ended without a reply, and counts as unanswered'
 
 
-SAME, LOST, OUT, FENCED = None, State.UNSYNCHRONISED, State.OUT_OF_STEP, State.FENCED
+SAME, CLOSED, LOST = None, State.CLOSED, State.UNSYNCHRONISED
+OUT, FENCED = State.OUT_OF_STEP, State.FENCED
 WAIT, END, RETRY = Then.WAIT, Then.END, Then.RETRY
 # The state after an event, and what becomes of what is outstanding. Where a call has ended, the
 # Master decides by rules 4, 5 and 7 whether it is sent again.
 #
-# Not in the table: the port opens (UNSYNCHRONISED) and closes (CLOSED); the request of a call is
-# sent, or nobody needs a fence (IN_STEP); TRIES ECHOs in a row are not answered (UNSYNCHRONISED),
-# and a SYNC is, of a board that knows no ECHO (IN_STEP).
+# Not in the table: the port opens (UNSYNCHRONISED); the request of a call is sent, or nobody needs
+# a fence (IN_STEP); TRIES ECHOs in a row are not answered (UNSYNCHRONISED), and a SYNC is, of a
+# board that knows no ECHO (IN_STEP).
 TABLE = {
     #               SYNC           ECHO            CALL
     Event.ANSWER:  ((OUT, END),    (FENCED, END),  (SAME, END)),
@@ -83,6 +85,7 @@ TABLE = {
     Event.OTHER:   ((SAME, WAIT),  (OUT, WAIT),    (OUT, WAIT)),
     Event.TIMEOUT: ((LOST, RETRY), (OUT, RETRY),   (OUT, END)),
     Event.STOP:    ((SAME, END),   (OUT, END),     (OUT, END)),
+    Event.CLOSED:  ((CLOSED, END), (CLOSED, END),  (CLOSED, END)),
 }
 TRANSITIONS = {event: dict(zip(Kind, row)) for event, row in TABLE.items()}
 
@@ -152,9 +155,10 @@ class Session:
         if self.exchange and at > self.exchange.sent:
             self.exchange.heard = True
 
-    def happened(self, event: Event, now: float, why: str = '') -> None:
-        """Follow the table; `why` is logged if calls could be sent, and can no longer."""
-        was_in_step = self.in_step
+    def happened(self, event: Event, now: float, why: str = '') -> Optional[Call]:
+        """Follow the table; return the call whose try has ended, or None. `why` is logged if calls
+        could be sent, and can no longer."""
+        call, was_in_step = self.call, self.in_step
         kind = self.exchange.kind if self.exchange else \
             Kind.CALL if self.synchronised else Kind.SYNC
         state, then = TRANSITIONS[event][kind]
@@ -177,6 +181,7 @@ class Session:
                                ' before that; for a board that knows no ECHO set bus/echo to false')
         if was_in_step and not self.in_step and why:
             self._log.warn('out of step', f'out of step: {why}')
+        return None if then is WAIT else call
 
     def send(self, request: wire.Request, now: float, timeout: float,
              call: Optional[Call] = None) -> Exchange:

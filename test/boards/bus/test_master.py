@@ -93,7 +93,7 @@ class Player:
 
     def _happens(self, step):
         master = self.master
-        {'open': master.session.begin, 'close': lambda: master.end('unplugged'),
+        {'open': master.session.begin, 'close': lambda: master.end('unplugged', self.now),
          'doubt': lambda: master.doubt('the bridge stalled', self.now),
          'busy': lambda: master.not_sent(self.latest, 'the port takes no data'),
          'announced': lambda: setattr(self, 'announced', True),
