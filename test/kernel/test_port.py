@@ -4,7 +4,6 @@ import os
 import socket
 import threading
 import time
-from unittest import mock
 
 import pytest
 from lines import Rfc2217Server
@@ -131,16 +130,6 @@ def test_a_port_is_opened_exclusively(port, line, refusal):
     again = Port(line.path)
     again.open()
     again.close()
-
-
-@pytest.mark.parametrize('major, byte_time', [(4, 1e-4), (188, 1e-4), (166, 0.0)])
-def test_the_wire_time_of_a_byte_is_known_of_a_uart_but_not_of_ttyacm(
-        major, byte_time, line, monkeypatch):
-    port = Port(line.path, 100_000)
-    monkeypatch.setattr('os.major', lambda device: major)
-    port.open()
-    port.close()
-    assert port.byte_time == byte_time
 
 
 def test_a_closed_port_raises_on_read_and_write_and_can_be_opened_again(port):
@@ -412,23 +401,3 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
     port.close()
     with pytest.raises(PortError):
         port.read(0)
-
-
-def test_an_rfc2217_port_is_closed_at_once(rfc2217):
-    port = Port(rfc2217.url)
-    port.open()
-    readers = [each for each in threading.enumerate() if 'RFC 2217' in each.name]
-    with mock.patch('serial.rfc2217.time') as clock:
-        port.close()
-    assert not clock.sleep.called and not port.is_open
-    until(lambda: not any(each.is_alive() for each in readers))
-
-
-def test_a_socket_is_closed_at_once():
-    """A link that took 0.3 s, as pyserial does, would count as stalled and refuse calls."""
-    with socket.create_server(('127.0.0.1', 0)) as server:
-        port = Port(f'socket://127.0.0.1:{server.getsockname()[1]}')
-        port.open()
-        with mock.patch('time.sleep', side_effect=AssertionError('it sleeps')):
-            port.close()
-        assert not port.is_open and server.accept()[0].recv(1) == b''

@@ -14,11 +14,10 @@ import time
 
 import pytest
 import serial.serialposix
-from waiting import Waiter, again_if_stalled, until
+from waiting import Waiter, until
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
-from serial_communication.boards.bus.link import BusLink
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.link.link import ERROR, Refused
@@ -191,26 +190,6 @@ def test_a_reset_is_a_pulse_of_100_ms(port, line, monkeypatch, by, expected):
 
 
 # -- the end --------------------------------------------------------------------------------------
-
-@pytest.mark.parametrize('kind, names', [
-    (BusLink, {'bus link'}), (ArduinoLink, {'arduino link', 'arduino heartbeat'}),
-    (McuLink, {'mcu link'})], ids=('bus', 'arduino', 'mcu'))
-@pytest.mark.parametrize('present', [True, False], ids=('port open', 'port absent'))
-def test_threads_have_names_and_end_within_1_s_of_stop(line, logger, kind, names, present):
-    def threads():
-        return {thread.name for thread in threading.enumerate()}
-
-    def end_in_time():
-        link = kind(Port(line.path if present else line.path + '.absent'), logger=logger)
-        link.start()
-        until(lambda: link.connection.number == present and names <= threads())
-        begun = time.monotonic()
-        link.stop()
-        link.join()
-        until(lambda: not names & threads())
-        assert not link.port.is_open
-        return time.monotonic() - begun < 1.5
-    again_if_stalled(end_in_time)
 
 
 def test_the_last_packet_of_a_bridge_that_ends_is_speed_0(line, car):

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 """The master of a bridge that runs ends, and a new one takes its place: the bridge starts again
-there. The campaign replaces the master, too."""
+there."""
 import os
 import subprocess
 

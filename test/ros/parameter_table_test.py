@@ -160,12 +160,6 @@ class INTERFACE(Interface):
         self.assertEqual((values['boards'][-1].NAME, values['wind/baud'], warnings),
                          ('wind', 9600, []))
 
-    def test_rows_that_a_board_announced_in_an_earlier_run_are_no_unknown_parameter(self):
-        given = {'boards': [self.board(self.BOARD)], 'wind': {'announced': {'gust': {}}}}
-        self.assertEqual(check(given, '/node')[1], [])
-        given['boards'] = [self.board(self.BOARD + '    PARAMETERS["announced"] = Parameter(5)')]
-        self.assert_refused(given, 'wind/announced is')
-
 
 class Lines(unittest.TestCase):
     """Every error is one readable line, whatever the name or value is."""

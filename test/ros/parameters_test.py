@@ -11,7 +11,6 @@ import rospy
 import rostest
 
 from boards import PACKAGE, PATIENCE, Bridge, until
-from latest_worker_test import LatestWorkerTest  # noqa: F401  run here, too, under one roscore
 from parameter_table_test import (ExternalBoards, Lines,  # noqa: F401
                                   ParameterTable)
 
@@ -142,14 +141,6 @@ class Names(unittest.TestCase):
         self.assertIn('WARN', self.bridge.wait_for('no port is set'))
         self.assert_interface()
         self.assertTrue(self.bridge.alive)
-        self.assert_ends()
-
-    def test_an_unknown_name_is_a_warning(self):
-        self.start('bus', 'arduino', 'mcu', mcu__timeuot=3.0, publish_ft=True)
-        for name in 'mcu/timeuot', 'publish_ft':
-            line = self.bridge.wait_for('parameter /bridge/%s is unknown' % name)
-            self.assertIn('WARN', line)
-        self.assert_interface('bus', 'arduino', 'mcu')
         self.assert_ends()
 
 

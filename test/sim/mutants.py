@@ -6,18 +6,18 @@ A mutant is a broken promise, not a place: a rebuild of the bridge moves its pla
 import json
 import time
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, NamedTuple
 
 import judge        # first: it makes the package findable
-import adapter as of
 
 
 class Mutant(NamedTuple):
     """A promise that is broken: what `patch` returns takes the place of a method."""
 
     promise: str
-    owner: Any
+    owner: str      # module and class of the package
     method: str
     patch: Callable[[Callable], Any]     # gets the method
 
@@ -32,75 +32,111 @@ def _returns(value: Any) -> Callable[[Callable], Callable]:
 
 MUTANTS: Dict[str, Mutant] = {
     'no fence before a call': Mutant(
-        'a fence precedes every call', of.Session, 'is_fenced', _returns(True)),
+        'a fence precedes every call', 'boards.bus.session.Session', 'is_fenced', _returns(True)),
     'a move is sent again after a timeout': Mutant(
-        'a move is never sent again after a timeout', of.Queue, 'again',
+        'a move is never sent again after a timeout', 'boards.bus.call.Queue', 'again',
         lambda _method: lambda self, call, *_, **__: self.waiting.insert(0, call)),
     'a stop waits for its turn': Mutant(
-        'a stop is sent at once', of.Queue, 'urgent', _nothing),
+        'a stop is sent at once', 'boards.bus.call.Queue', 'urgent', _nothing),
     'an old call is sent after a stall': Mutant(
-        'a call is as old as a command', of.Connection, 'may_be_from_a_stall', _returns(False)),
+        'a call is as old as a command', 'link.connection.Connection', 'may_be_from_a_stall',
+        _returns(False)),
     'a call outlives its port': Mutant(
-        'an outstanding call is not known when the port closes', of.BusLink, 'closed', _nothing),
+        'an outstanding call is not known when the port closes', 'boards.bus.link.BusLink',
+        'closed', _nothing),
     'no SYNC after an opening': Mutant(
-        'SYNC comes first', of.Session, 'begin', lambda _method: lambda self: setattr(
-            self, 'state', of.State.OUT_OF_STEP)),
+        'SYNC comes first', 'boards.bus.session.Session', 'begin',
+        lambda _method: lambda self: setattr(
+            self, 'state', type(self.state).OUT_OF_STEP)),
     'moves while stopped': Mutant(
-        '~stop holds on the bus', of.BusLink, '_refuses', _returns('')),
+        '~stop holds on the bus', 'boards.bus.link.BusLink', '_refuses', _returns('')),
     'the timeout of the speed is doubled': Mutant(
-        'SPEED 0 after 0.5 s without a command', of.Motor, '__init__',
+        'SPEED 0 after 0.5 s without a command', 'boards.arduino.motor.Motor', '__init__',
         lambda method: lambda self, timeout, now: method(self, 2 * timeout, now)),
     'a stop is not repeated': Mutant(
-        'a stop is repeated for 1 s', of.Motor, 'due', lambda method: lambda *arguments: (
-            lambda why: None if why is of.Stop.REPEATED else why)(method(*arguments))),
+        'a stop is repeated for 1 s', 'boards.arduino.motor.Motor', 'due',
+        lambda method: lambda *arguments: (
+            lambda why: None if why and why.name == 'REPEATED' else why)(method(*arguments))),
     'SPEED 0 does not come first': Mutant(
-        'SPEED 0 first', of.Motor, 'forget_speed', _nothing),
+        'SPEED 0 first', 'boards.arduino.motor.Motor', 'forget_speed', _nothing),
     'a stall is not noticed by the car': Mutant(
-        'commands of a stall are refused', of.Motor, 'detect_stall', _returns(None)),
+        'commands of a stall are refused', 'boards.arduino.motor.Motor', 'detect_stall',
+        _returns(None)),
     'a backlog is kept': Mutant(
-        'what stands in a port is dropped', of.Port, 'discard_output', _returns(True)),
+        'what stands in a port is dropped', 'transport.port.Port', 'discard_output',
+        _returns(True)),
     'heartbeats wait for the link': Mutant(
-        'heartbeats are in time', of.HeartbeatThread, 'step', lambda method: lambda self: max(
+        'heartbeats are in time', 'boards.arduino.heartbeat.HeartbeatThread', 'step',
+        lambda method: lambda self: max(
             method(self), self._now() + 0.04)),
     'commands while it calibrates': Mutant(
-        'a calibrating board is left alone', of.CarOutput, '_why_not', lambda method:
+        'a calibrating board is left alone', 'boards.arduino.output.CarOutput', '_why_not',
+        lambda method:
             lambda self, message, now: ('', '') if self.calibration else method(
                 self, message, now)),
     'the car moves while stopped': Mutant(
-        '~stop holds', of.CarOutput, '_moves', _returns(False)),
+        '~stop holds', 'boards.arduino.output.CarOutput', '_moves', _returns(False)),
     'stale bytes are published': Mutant(
-        'no stale value', of.Connection, '_check_stall', lambda _method:
+        'no stale value', 'link.connection.Connection', '_check_stall', lambda _method:
             lambda self, now: setattr(self.stalls, 'awake_at', now) or 0.0),
     'an announcement is kept over an opening': Mutant(
-        'announced rows wait', of.BoardAnnouncement, 'reset', _nothing),
+        'announced rows wait', 'link.announcement.BoardAnnouncement', 'reset', _nothing),
     'values of an old announcement': Mutant(
-        'values are of this board', of.BoardAnnouncement, 'holds_back', _returns(False)),
+        'values are of this board', 'link.announcement.BoardAnnouncement', 'holds_back',
+        _returns(False)),
     'a setting is confirmed by an older report': Mutant(
-        'a confirmed setting is in use', of.BoardSettings, 'send', lambda method:
+        'a confirmed setting is in use', 'link.settings.BoardSettings', 'send', lambda method:
             lambda self, now, write, is_current: [
                 setattr(state, 'confirmed', state.value is not None)
                 for state in self._states.values()] and method(self, now, write, is_current)),
     'a lent port is opened': Mutant(
-        'a lent port is left alone', of.Port, '_refuse_while_lent', _nothing),
+        'a lent port is left alone', 'transport.port.Port', '_refuse_while_lent', _nothing),
     'a loan without SPEED 0': Mutant(
-        'SPEED 0 is the last packet before a loan', of.CarOutput, 'let_go', lambda _method:
+        'SPEED 0 is the last packet before a loan', 'boards.arduino.output.CarOutput', 'let_go',
+        lambda _method:
             lambda self, why, resets=False: self._port.give_up(why)),
     'a stamp of the moment it is published': Mutant(
-        'a stamp is of the read', of.Stamps, 'of', lambda _method:
+        'a stamp is of the read', 'link.stamps.Stamps', 'of', lambda _method:
             lambda self, frame, read: read.stamp + 0.001),
     'a silent board is not reported': Mutant(
-        'a silent board is reported', of.McuLink, 'idle', lambda _method:
+        'a silent board is reported', 'boards.mcu.link.McuLink', 'idle', lambda _method:
             lambda self, now: now + 0.1),
     'frames are lost': Mutant(
-        'every valid frame is published', of.Link, 'deliver', lambda method:
+        'every valid frame is published', 'link.link.Link', 'deliver', lambda method:
             lambda self, frame, now: None if frame.raw[2:3] == b'\x05' else method(
                 self, frame, now)),
     'frames are doubled': Mutant(
-        'a value is published once', of.Link, 'deliver', lambda method:
+        'a value is published once', 'link.link.Link', 'deliver', lambda method:
             lambda self, frame, now: [method(self, frame, now) for _ in range(
                 1 + (frame.raw[2:3] == b'\x05'))]),
+    'a call is given up behind another one': Mutant(
+        'a call is not given up while it may be served', 'boards.bus.master.Master', '_timed_out',
+        lambda method: lambda self, exchange, now: (
+            self.queue.end(lambda call: call.without_reply('busy')), method(
+                self, exchange, now))),
+    'a call that was refused is not sent again': Mutant(
+        'a refused call is repeated', 'boards.bus.call.Queue', 'again',
+        lambda method: lambda self, call, now, told, refused=None: (
+            refused and setattr(call, 'tries', 0), method(self, call, now, told, refused))),
+    'polls pile up': Mutant(
+        'polls do not pile up', 'boards.bus.polls.Polls', 'tick', lambda method:
+            lambda self, now, is_announced: ([setattr(each, 'latest', None) for each in
+                                              self._pollers], method(self, now, is_announced))[1]),
+    'a silence of 1 s ends a calibration': Mutant(
+        'a calibration ends after a silence of 2 s', 'boards.arduino.calibration.Calibration',
+        'imu_data', lambda method: lambda self, now: (
+            setattr(self, '_last_data', self._last_data - 1.0), method(self, now))[1]),
+    'damage is counted twice': Mutant(
+        'what is damaged is counted once', 'framing.stream.StreamDecoder', '_return_noise',
+        lambda method: lambda self, noise: (method(self, noise), self.errors.update(
+            framing=self.errors['framing'] + 1))[0]),
+    'a silent pty is trusted': Mutant(
+        'a silent pty takes no command', 'boards.arduino.link.ArduinoLink', '_check_pty', _nothing),
+    'changed settings leave no doubt': Mutant(
+        'SPEED 0 after settings were restored', 'boards.arduino.link.ArduinoLink', 'altered',
+        _nothing),
     'the port is not opened again': Mutant(
-        'a port that is back is opened', of.Connection, '_close', lambda method:
+        'a port that is back is opened', 'link.connection.Connection', '_close', lambda method:
             lambda self: (method(self), setattr(self, '_open_at', self._now() + 30.0),
                           self._now())[2]),
 }
@@ -113,12 +149,14 @@ _MOST = 200     # seeds within which each has to be found
 def broken_by(name: str) -> Iterator[None]:
     """A context in which the bridge is broken by this mutant."""
     mutant = MUTANTS[name]
-    method = vars(mutant.owner)[mutant.method]
-    setattr(mutant.owner, mutant.method, mutant.patch(method))
+    module, owner_name = mutant.owner.rsplit('.', 1)
+    owner = getattr(import_module(f'serial_communication.{module}'), owner_name)
+    method = vars(owner)[mutant.method]
+    setattr(owner, mutant.method, mutant.patch(method))
     try:
         yield
     finally:
-        setattr(mutant.owner, mutant.method, method)
+        setattr(owner, mutant.method, method)
 
 
 def _search() -> None:

@@ -22,7 +22,7 @@ class Call:
     asked: float        # when it was called
     is_poll: bool = False
     on_success: Optional[OnSuccess] = None      # called in the link's thread
-    expires: float = float('inf')       # when it has waited for its turn for too long
+    waits_since: float = float('inf')   # for its turn
     is_urgent: bool = False             # a stop that is to be sent now; rule 8
     told: Optional[Outcome] = None      # unless it is sent again; None: nothing was sent
     refused: Optional[Outcome] = None   # instead, once an ECHO has returned: no try was executed
@@ -67,7 +67,7 @@ class Queue:
               refused: Optional[Outcome] = None) -> None:
         """A try has ended: the call waits before all others; `end` ends it if it may not be sent
         again."""
-        call.told, call.refused, call.expires = told, refused, now + self.longest_wait
+        call.told, call.refused, call.waits_since = told, refused, now
         self.waiting.insert(0, call)
 
     def end(self, outcome_of_call: Callable[[Call], Optional[Outcome]]) -> None:
@@ -78,9 +78,10 @@ class Queue:
                 self.waiting.remove(call)
                 call.finish(outcome)
 
-    def end_but_stops(self, why: str) -> None:
-        """End all calls that do not interrupt."""
-        self.end(lambda call: None if call.function.interrupts else call.without_reply(why))
+    def end_but_stops(self, why: str, until: float) -> None:
+        """End all calls that do not interrupt, and wait since then or longer."""
+        self.end(lambda call: None if call.function.interrupts or call.waits_since > until
+                 else call.without_reply(why))
 
     def doubt_refusals(self) -> None:
         """An OK was received, or may have been: an INVALID before it was perhaps for noise, so its

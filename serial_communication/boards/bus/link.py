@@ -12,11 +12,10 @@ from ...transport.port import Port, PortBusy, PortError
 from . import wire
 from .announcement import AnnouncementReader
 from .call import UNKNOWN, Call, OnSuccess
-from .master import BusSettings, Hooks, Master
+from .master import STALLED, BusSettings, Hooks, Master
 from .polls import Polls
 from .session import Condition, Exchange
 
-_STALLED = 'it may have waited while the bridge stalled'
 _NOT_ANNOUNCED = 'the board may have begun anew, and has not announced this function since'
 _WRITTEN = 0.3      # s for a stop to be written
 _BLOCKED = 0.05     # s until the next try, after the port took no data
@@ -90,7 +89,7 @@ class BusLink(Link):
         elif not self.port.is_open:
             refusal = f'the port {self.port.url} is closed ({self.connection.trouble})'
         elif not function.repeatable and self.connection.may_be_from_a_stall():
-            refusal = _STALLED
+            refusal = STALLED
         call = self.master.submit(request, function, self.now(), on_success, refusal=refusal)
         self.wake()
         return call
@@ -156,7 +155,7 @@ class BusLink(Link):
         self.master.damaged(frame, now)
 
     def stalled(self, seconds: float, now: float) -> None:
-        self.master.doubt('the bridge stalled', now)
+        self.master.stalled(now)
 
     def altered(self, now: float) -> None:
         self.master.doubt('another program changed the settings of the port', now)
@@ -183,7 +182,7 @@ class BusLink(Link):
         frame = wire.encode_request(request, self.settings.environment_datelen)
         is_old = self.connection.stalls.stalled_for(self.now())     # since `next`
         if is_old and call and not call.function.repeatable:
-            self.master.not_sent(exchange, _STALLED)
+            self.master.not_sent(exchange, STALLED)
             return now
         try:
             self.send(frame, request.cmd1, request.cmd2, request.data, request)

@@ -13,6 +13,9 @@ from . import wire
 from .call import Call, OnSuccess, Queue, outcome_of, unknown
 from .session import TRIES, Event, Exchange, Kind, Session, State, event_of
 
+STALLED = 'it may have waited while the bridge stalled'
+_PATIENCE = 0.8     # s that a call waits for a board that does not answer
+
 
 class BusSettings(NamedTuple):
     """Parameters of the session; times are in s."""
@@ -46,7 +49,7 @@ class Master:
         self.data_errors: Dict[str, int] = Counter()         # in an OK, by cause
         self.round_trips: Deque[float] = deque(maxlen=200)   # s; the latest
         self._settings, self._log, self._hooks = settings, log, hooks
-        self._doubt, self._doubted_at = '', float('-inf')   # the latest one
+        self._stalled_at = float('-inf')    # the end of the latest stall
 
     def submit(self, request: wire.Request, function: wire.Function, now: float,
                on_success: Optional[OnSuccess] = None, is_poll: bool = False,
@@ -78,15 +81,18 @@ class Master:
         self.queue.end(lambda call: call.without_reply(f'the port is closed ({why})'))
 
     def doubt(self, why: str, now: float) -> None:
-        """Replies may have been missed, and requests lost, on a port that stays open; what moves
-        and was asked for until now is too old."""
-        self._doubt, self._doubted_at = why, now
+        """Replies may have been missed, and requests lost, on a port that stays open."""
         self.session.happened(Event.OTHER, now, why)
         self.queue.doubt_refusals()
         call = self.session.call
         if call and call.function.interrupts:
             self._interrupt('it was sent again before the reply', now)
         self.queue.stop_again()
+
+    def stalled(self, now: float) -> None:
+        """The bridge did not run: what moves and was asked for until now is too old; rule 9."""
+        self._stalled_at = now
+        self.doubt('the bridge stalled', now)
 
     def damaged(self, frame: Frame, now: float) -> None:
         """Bytes were received that are not a valid reply."""
@@ -178,7 +184,8 @@ class Master:
 
     def due(self, now: float) -> float:
         """When `tick` and `next` are to be called next, at the latest."""
-        session, times = self.session, [call.expires for call in self.queue.waiting]
+        session = self.session
+        times = [call.waits_since + self.queue.longest_wait for call in self.queue.waiting]
         if session.exchange:
             times.append(session.exchange.deadline)
         elif now < session.quiet_until:
@@ -195,9 +202,9 @@ class Master:
             return
         if call.function.interrupts:
             self._interrupt(f'{call.request} was sent before the reply', now)
-            self.queue.end_but_stops(f'{call.request} was called')
+            self.queue.end_but_stops(f'{call.request} was called', now)
             call.is_urgent = True
-        call.expires = call.asked + self.queue.longest_wait
+        call.waits_since = call.asked
         self.queue.waiting.append(call)
 
     def _outcome_of_waiting(self, call: Call, now: float) -> Optional[Outcome]:
@@ -210,9 +217,10 @@ class Master:
         why = self._hooks.refuses(call.function)
         if session.state is State.CLOSED:
             why = 'the port is closed'
-        elif call.asked <= self._doubted_at and not is_repeatable:
-            why = f'it is too old: {self._doubt}'       # rule 9
-        elif call.outcome or now >= call.expires and not call.is_urgent:
+        elif call.asked <= self._stalled_at and not is_repeatable:
+            why = STALLED
+        elif call.outcome or now >= call.waits_since + self.queue.longest_wait \
+                and not call.is_urgent:
             why = 'the bus is busy, or its line' if session.in_step else session.condition.text
         return call.without_reply(why) if why else None
 
@@ -258,7 +266,7 @@ class Master:
         call = self.session.happened(Event.TIMEOUT, now, 'no reply')
         if call is None:
             if self.session.unanswered[exchange.kind] >= TRIES:
-                self.queue.end_but_stops(self.session.condition.text)
+                self.queue.end_but_stops(self.session.condition.text, now - _PATIENCE)
             self.queue.stop_again()
             return
         self._log.warn('timeout', f'no reply to "{call.request}" within {call.timeout:g} s')

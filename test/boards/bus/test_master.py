@@ -38,7 +38,7 @@ class Player:
         call NAME, poll NAME    a caller submits it; `old` before it: 0.1 s ago
         > NAME, SYNC, ECHO, -   this is sent now, or nothing; +: after the fence that returns
         < REPLY …               replies are received; ECHO returns the nonce, -ECHO the one before
-        damaged, noise, doubt   a frame with a wrong checksum; other bytes; a stall
+        damaged, noise, doubt, stall    a frame with a wrong checksum; other bytes; as in the Master
         +S                      S seconds pass; T is the reply timeout, M that of moves
         open, close, busy       the port opens, or closes; it does not take the latest request
         NAME is OUTCOME         the latest call of that name has it; waiting: none
@@ -94,7 +94,8 @@ class Player:
     def _happens(self, step):
         master = self.master
         {'open': master.session.begin, 'close': lambda: master.end('unplugged', self.now),
-         'doubt': lambda: master.doubt('the bridge stalled', self.now),
+         'doubt': lambda: master.doubt('another program', self.now),
+         'stall': lambda: master.stalled(self.now),
          'busy': lambda: master.not_sent(self.latest, 'the port takes no data'),
          'announced': lambda: setattr(self, 'announced', True),
          'stopped': lambda: setattr(self, 'stopped', True)}.get(
@@ -148,8 +149,9 @@ RULES = [
     'echo is done; >+ air; < AIR; air is done; > -',
     # 2: SYNC first
     'close; call lift; lift is not sent; open;' + '> SYNC; > -; synchronising; +T;' + '> SYNC; +T;'
-    '> SYNC; +T; no sync; call lift; > SYNC; < OK ERROR:8000 INVALID:40 INVALID:10 ECHO; > -;'
-    'noise; doubt; +0.001; > -; < SYNC; >+ -; lift is not sent; call lift; >+ lift; < OK;'
+    'call lift; > SYNC; +T; no sync; > SYNC; lift is waiting; +T; > SYNC; lift is not sent;'
+    '< OK ERROR:8000 INVALID:40 INVALID:10 ECHO; > -;'
+    'noise; doubt; > -; < SYNC; >+ -; call lift; >+ lift; < OK;'
     'lift is done',
     *(f'{begin} < INVALID:10; synchronising; > SYNC; < SYNC; > ECHO; < ECHO; ready'
       for begin in ('', 'noise; > ECHO;', 'call raw; >+ raw;')),
@@ -186,7 +188,7 @@ RULES = [
     *(f'{what}; out of step; call air; >+ air' for what in ('noise', 'damaged', 'doubt', '< OK')),
     f'{LIFTS} noise; lift is waiting; < OK; lift is done; >+ -',
     f'{LIFTS} damaged; lift is not known; >+ -',
-    'noise;' + '> ECHO; +T;' * 3 + '> SYNC; no echo; < SYNC; call lift; call air; > ECHO; +T;'
+    'noise;' + '> ECHO; +T;' * 3 + '> SYNC; no echo; call lift; call air; +0.4; < SYNC; > ECHO; +T;'
     '> SYNC; lift is not sent; air is not sent; no echo; < SYNC; call lift; >+ lift; ready',
     'noise;' + '> ECHO; < INVALID:10; > SYNC; < SYNC;' * 3
     + '> ECHO; < INVALID:10; > -; +T; > SYNC',
@@ -211,7 +213,7 @@ RULES = [
     'call stop; +6; > stop',
     'stopped; call lift; lift is not sent; call air; >+ air; < AIR; call stop; > stop',
     # 9: as old as a command
-    f'{LIFTS} call gimbal; call air; doubt; gimbal is not sent; < OK; lift is done; >+ air; < AIR;'
+    f'{LIFTS} call gimbal; call air; stall; gimbal is not sent; < OK; lift is done; >+ air; < AIR;'
     'old call raw; raw is not sent; +0.001; call raw; >+ raw',
     # 12: another board
     'call own; own is not sent; announced; call own; >+ own; < OK; own is done',
@@ -224,7 +226,7 @@ WITHOUT_ECHO = [
     'call lift; > lift; < AIR; lift is waiting; out of step; < OK; lift is done',
     *(f'{what}; call lift; > SYNC; < OK; > -; < SYNC; > -; +0.49; > -; +0.02; > lift'
       for what in ('call raw; > raw; +T', 'call raw; > raw; damaged', 'noise', '< OK',
-                   'doubt; +0.001')),
+                   'doubt')),
     *(f'call {name}; > {name}; < INVALID:40; {name} is not known; > SYNC' for name in MOVES),
     'call lift; > lift; call stop; > stop; lift is not known; > SYNC; +T; > stop; > SYNC; < SYNC;'
     '> -; +0.51; > stop; < OK; stop is done']
