@@ -3,14 +3,14 @@ import pytest
 
 from steps import Steps
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import announcement
 from serial_communication.boards.bus.call import Call
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.boards.mcu.link import McuLink
+from links import McuLink
 from serial_communication.framing.announcement import Assembly, chunks_of
-from serial_communication.link.link import Refused
+from serial_communication.link.session import Refused
 from serial_communication.link.outcome import TIMEOUT, Outcome
 from serial_communication.link.sparing_log import SparingLog
 
@@ -38,7 +38,7 @@ def car(logger):
     got, texts = [], []
     steps = Steps(ArduinoLink, logger=logger, on_message=lambda message, stamp: got.append(message))
     steps.got, steps.texts = got, texts
-    steps.link.announcement.on_text = texts.append
+    steps.link.session.announcement.on_text = texts.append
     return steps.run(0.1)
 
 
@@ -46,16 +46,16 @@ def test_the_car_announces_a_text_once_and_a_changed_one_again(car):
     car.give(b''.join(packets(TEXT) * 2 + packets(OTHER)[:1] + packets(TEXT)) + TICKS)
     assert car.texts == [TEXT] and car.got == [arduino.Ticks(1)]
     car.give(b''.join(packets(OTHER)))
-    assert car.texts == [TEXT, OTHER] and not any(car.link.decoder.errors.values())
+    assert car.texts == [TEXT, OTHER] and not any(car.link.traffic.errors.values())
 
 
 def test_announced_rows_are_used_only_after_this_board_has_announced_them(car):
     """After the port was opened, another board may be behind it."""
     force, link = arduino.encode(Force(7)), car.link
-    link.decoder.add_message(Force)
+    link.session.decoder.add_message(Force)
     car.give(b''.join(packets(TEXT)))
-    assert not link.announcement.is_current       # until its rows are in use
-    link.announcement.use(TEXT, 'nano_car 1.1.0', ['force'])
+    assert not link.session.announcement.is_current       # until its rows are in use
+    link.session.announcement.use(TEXT, 'nano_car 1.1.0', ['force'])
     car.give(force + TICKS)
     assert car.got == [Force(7), arduino.Ticks(1)]
     car.unplug().plug().give(force * 3 + TICKS)
@@ -75,10 +75,10 @@ def test_chunks_of_the_sensor_board_count_in_seq_and_are_no_sign_of_life(logger)
     silences, texts = [], []
     sensors = Steps(McuLink, timeout=0.1, logger=logger,
                     on_silence=lambda *silence: silences.append(silence))
-    sensors.link.announcement.on_text = texts.append
+    sensors.link.session.announcement.on_text = texts.append
     sensors.run(0.05).give(b''.join(mcu.encode(chunk, seq + 7) for seq, chunk in
                                     enumerate(chunks_of(TEXT, 20))), 1.0)
-    assert texts == [TEXT] and sensors.link.frames_lost == 0 and sensors.link.silent
+    assert texts == [TEXT] and not sensors.link.session.talks(0.0)
     assert {kind for kind, _, _ in silences} == {None} and sensors.port.wrote == []
 
 
@@ -92,7 +92,7 @@ class Questions:
         self.question = announcement.AnnouncementReader(self._ask, Assembly(), log)
         self.question.begin(0.0)
 
-    def _ask(self, index):
+    def _ask(self, index, now):
         self.asked.append(Call(bus.ANNOUNCEMENT.make_request((index,)), bus.ANNOUNCEMENT,
                                0.5, 1, 0.0))
         return self.asked[-1]

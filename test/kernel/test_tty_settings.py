@@ -43,14 +43,14 @@ def read_exactly(port, size):
     ids=' '.join)
 def test_settings_changed_by_another_program_are_named_and_restored(port, line, arguments, words):
     before = stty(line.path, '-g')
-    assert port.restore_settings() == ''
+    assert port.changed_settings() == ''
     stty(line.path, *arguments)
     if stty(line.path, '-g') == before:
         pytest.skip('a pseudo terminal has no such setting')
-    changed = port.restore_settings().split(', ')
-    assert set(words) <= set(changed)
+    assert set(words) <= set(port.changed_settings().split(', '))
+    port.renew()
     assert stty(line.path, '-g') == before
-    assert port.restore_settings() == '', 'reported twice'
+    assert port.changed_settings() == '', 'reported twice'
     line.write(EVERY_BYTE)
     assert read_exactly(port, 256) == EVERY_BYTE
     port.write(EVERY_BYTE)
@@ -61,13 +61,14 @@ def test_a_device_that_does_not_take_its_settings_is_left_alone_after_3_tries(
         port, line, monkeypatch):
     monkeypatch.setattr(tty_settings, 'write', lambda fd, settings: None)
     stty(line.path, 'icanon')
-    assert ['icanon' in port.restore_settings() for _ in range(5)] == [True] * 3 + [False] * 2
+    assert ['icanon' in port.changed_settings() for _ in range(5) if port.renew() == 0] == [
+        True] * 2 + [False] * 3
 
 
 def test_bytes_that_waited_under_other_settings_are_dropped(port, line):
     stty(line.path, 'sane')
     line.write(b'\r\x08\x15')
-    assert port.restore_settings()
+    port.renew()
     line.read_all()
     line.write(b'later')
     assert read_exactly(port, 5) == b'later'
@@ -75,9 +76,9 @@ def test_bytes_that_waited_under_other_settings_are_dropped(port, line):
 
 def test_a_port_that_is_not_a_tty_has_no_settings():
     port = Port('loop://')
-    assert port.restore_settings() == ''
+    assert port.changed_settings() == ''
     port.open()
-    assert port.restore_settings() == ''
+    assert port.changed_settings() == ''
     port.close()
 
 

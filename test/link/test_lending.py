@@ -2,8 +2,8 @@
 import pytest
 
 from steps import Steps
-from serial_communication.boards.mcu.link import McuLink
-from serial_communication.link.link import WARN
+from links import McuLink
+from serial_communication.link.session import WARN, Refused
 
 
 @pytest.fixture
@@ -12,26 +12,32 @@ def sensors():
 
 
 def refused(why):
-    return False, f'status 253 (not sent): {why}'
+    return False, why
 
 
 def lend(steps, by='avrdude', seconds=10.0):
-    task = steps.link.lending.ask_for_loan(by, seconds)
-    steps.run(0.0)
-    return task.answer
+    return answer(steps, lambda: steps.link.lending.lend(by, seconds))
 
 
 def reset(steps, line='dtr'):
-    steps.link.lending.line = line
-    task = steps.link.lending.ask_for_reset()
-    steps.run(0.0)
-    return task.answer
+    steps.link.lending.reset_line = line
+    return answer(steps, steps.link.lending.reset)
+
+
+def answer(steps, ask):
+    """Whether it was done, and what is said."""
+    try:
+        return True, ask()
+    except Refused as refused:
+        return False, str(refused)
+    finally:
+        steps.run(0.0)
 
 
 def test_a_lent_port_is_closed_until_it_is_given_back(sensors):
     assert lend(sensors) == (True, 'lent to avrdude')
     link = sensors.link
-    assert not link.port.is_open and link.condition(0.0) == (WARN, 'lent to avrdude')
+    assert not link.port.is_open and link.report(0.0)[:2] == (WARN, 'lent to avrdude')
     assert dict(link.report(0.0).values)['condition'] == 'lent'
     assert lend(sensors, 'minicom', 5.0) == refused('the port is lent to avrdude')
     assert lend(sensors, seconds=0.0) == (True, 'the port is opened again')
@@ -51,16 +57,16 @@ def test_a_wrong_loan_is_refused(sensors, by, seconds):
     assert not done and 'are needed' in text and sensors.port.is_open
 
 
-def test_a_reset_is_a_pulse_and_a_new_opening(sensors):
+def test_a_reset_is_a_pulse_and_the_port_stays_open(sensors):
     assert reset(sensors, 'rts') == (True, 'reset by RTS')
-    assert sensors.port.pulses == ['rts'] and sensors.run(2.0).link.connection.number == 2
+    assert sensors.port.pulses == ['rts'] and sensors.run(2.0).link.reopening.count == 1
 
 
 def test_a_board_without_such_a_line_is_not_reset(sensors):
     assert reset(sensors, '') == refused(
         'no line that resets this board is known (parameter reset_line)')
-    sensors.port.is_pty = True
+    sensors.port._opened.is_pty = True
     assert reset(sensors) == refused('the port /dev/none has no control lines')
-    sensors.port.is_pty = False
+    sensors.port._opened.is_pty = False
     sensors.unplug()
     assert reset(sensors) == refused('the port is closed')

@@ -1,13 +1,14 @@
 """Stamps of frames with the board's time: their values by given times."""
 import time
+from types import SimpleNamespace
 
 import pytest
 
-from serial_communication.boards.arduino import custom_messages
+from board_rows import car_messages
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.boards.mcu.link import McuLink
+from links import McuLink
 from serial_communication.framing.board_time import LEAST_POINTS
 from serial_communication.transport.port import Port
 
@@ -31,7 +32,7 @@ class Car:
         self.got = []
         self.link = ArduinoLink(Port('/dev/none'), logger=logger, on_message=lambda message, stamp:
                                 self.got.append((message, stamp)), **options)
-        self.link.port.byte_time = byte_time
+        self.link.port._opened = SimpleNamespace(has_baud=byte_time > 0.0)
         self.now = 100.0
         self.reset_at = 0.0
 
@@ -45,7 +46,7 @@ class Car:
         monotonic clock, of what it passes on."""
         self.got.clear()
         at = self.now + late
-        self.link.connection._receive(wire, at + AHEAD, at)
+        self.link.receiver.take(wire, at + AHEAD, at)
         return [stamp - AHEAD for _message, stamp in self.got]
 
     def measure(self, late=DELAY, behind=b''):
@@ -107,7 +108,7 @@ def test_the_clock_is_learnt_anew_after_the_port_was_opened_or_the_board_was_res
     car.settle()
     assert car.measure(0.02) < 0.01
     if forget == 'opened':
-        car.link.connection._begin()
+        car.link.receiver.reset()
     else:
         car.reset_at = car.now
     assert [car.measure(0.02) for _ in range(9)] == pytest.approx([0.02] * 9)
@@ -147,13 +148,13 @@ def test_without_board_time_the_clock_is_ignored(logger):
 
 
 def test_a_row_with_the_boards_time_has_its_stamp(logger):
-    row, = custom_messages({'force': {'type': 32, 'ros_type': 'a/B', 'layout': '<Ih',
-                                      'fields': ['@time', 'x']}})
-    car = Car(logger, messages=[row.kind])
+    row, = car_messages({'force': {'type': 32, 'ros_type': 'a/B', 'layout': '<Ih',
+                                   'fields': ['@time', 'x']}})
+    car = Car(logger, messages=[row.message])
     for _ in range(30):
         car.now += PERIOD
-        car.read(arduino.encode(row.kind(round(car.now * 1e6), 5)))
-    assert car.read(arduino.encode(row.kind(round(car.now * 1e6), 5)), 0.05) == pytest.approx(
+        car.read(arduino.encode(row.message(round(car.now * 1e6), 5)))
+    assert car.read(arduino.encode(row.message(round(car.now * 1e6), 5)), 0.05) == pytest.approx(
         [car.now + DELAY - 9 * BYTE], abs=1e-4)
 
 
@@ -162,7 +163,7 @@ def test_a_step_of_the_clock_of_the_stamps_changes_no_difference(car):
     car.settle()
     car.now += PERIOD
     for step in 0.0, -3600.0, 1e9:
-        car.link.connection._receive(car.time(1) + arduino.encode(arduino.Ticks(1)),
+        car.link.receiver.take(car.time(1) + arduino.encode(arduino.Ticks(1)),
                                      car.now + 0.02 + step, car.now + 0.02)
         assert car.got[-1][1] == pytest.approx(car.now + step + DELAY, abs=2e-3)
         car.now += PERIOD
@@ -179,7 +180,7 @@ def test_a_board_without_time_has_the_stamps_of_its_reads_themselves(logger):
     for index in range(10 * LEAST_POINTS):
         stamp, at = object(), 100.0 + index * PERIOD + index % 3 / 100
         del got[:]
-        car.connection._receive(row, stamp, at)
-        sensors.connection._receive(mcu.encode(ADC, index), stamp, at)
+        car.receiver.take(row, stamp, at)
+        sensors.receiver.take(mcu.encode(ADC, index), stamp, at)
         assert len(got) == 3 and all(each is stamp for each in got)
     assert not any(key in KEYS for link in (car, sensors) for key, _ in link.report(at).values)

@@ -4,7 +4,7 @@ import time
 
 from boards import program, until
 from serial_communication.boards.arduino import wire
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.transport.port import Port
 
 SECONDS, DRIFT, BATCH = 5.0, 300, 16     # DRIFT in ppm, BATCH in ms

@@ -70,7 +70,7 @@ class SlowSubscriber(unittest.TestCase):
 
     def slow_subscribers(self):
         """The connections whose sockets are full."""
-        return [each for each in self.publisher.impl.connections if each._is_slow]
+        return [each for each in self.publisher.impl.connections if each._rest]
 
     def listen(self):
         """Add another subscriber, which reads."""
@@ -119,13 +119,6 @@ class SlowSubscriber(unittest.TestCase):
         until(lambda: not self.publisher.get_num_connections(), 'it is forgotten',
               doing=lambda: self.publish('anybody?'))
         self.listen().first(lambda m: m.data == 'after', doing=lambda: self.publish('after'))
-
-    def tearDown(self):
-        self.doCleanups()
-        until(lambda: not direct._sender._slow, 'nothing is kept')
-
-
-_NUMBER = 500    # of a descriptor that nothing else of this process gets
 
 
 if __name__ == '__main__':

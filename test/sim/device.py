@@ -142,13 +142,17 @@ class Device:
             self._pump_now()
         return took
 
-    def restore(self) -> str:
-        """Restore its settings, and drop what waits; return what was changed, or ''."""
-        altered, self.is_altered = self.is_altered, False
-        if altered:
+    def renew(self, keeps_input: bool) -> int:
+        """Drop what waits, and restore the settings; return how many bytes of input were dropped.
+        """
+        self.flush_output()
+        if self.is_altered:
+            self.is_altered = False
             self.restorations.append(self._world.clock())
-            self._input = b''
-        return 'icanon' if altered else ''
+        if keeps_input or self.kind == 'network':
+            return 0
+        dropped, self._input = len(self._input), b''
+        return dropped
 
     def pulse(self) -> None:
         """Reset the board by a control line."""

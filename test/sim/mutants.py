@@ -30,55 +30,59 @@ def _returns(value: Any) -> Callable[[Callable], Callable]:
     return lambda _method: lambda *_, **__: value
 
 
+def _without_calibration(method: Callable, session: Any, *arguments: Any) -> Any:
+    calibration, session.calibration = session.calibration, None
+    try:
+        return method(session, *arguments)
+    finally:
+        session.calibration = calibration
+
+
 MUTANTS: Dict[str, Mutant] = {
     'no fence before a call': Mutant(
-        'a fence precedes every call', 'boards.bus.session.Session', 'is_fenced', _returns(True)),
+        'a fence precedes every call', 'boards.bus.session.Channel', 'is_fenced', _returns(True)),
     'a move is sent again after a timeout': Mutant(
         'a move is never sent again after a timeout', 'boards.bus.call.Queue', 'again',
         lambda _method: lambda self, call, *_, **__: self.waiting.insert(0, call)),
     'a stop waits for its turn': Mutant(
         'a stop is sent at once', 'boards.bus.call.Queue', 'urgent', _nothing),
     'an old call is sent after a stall': Mutant(
-        'a call is as old as a command', 'link.connection.Connection', 'may_be_from_a_stall',
-        _returns(False)),
+        'a call is as old as a command', 'link.freshness.Freshness', 'is_fresh', _returns(True)),
     'a call outlives its port': Mutant(
-        'an outstanding call is not known when the port closes', 'boards.bus.link.BusLink',
-        'closed', _nothing),
+        'an outstanding call is not known when the port closes', 'boards.bus.master.Master',
+        'end', _nothing),
     'no SYNC after an opening': Mutant(
-        'SYNC comes first', 'boards.bus.session.Session', 'begin',
+        'SYNC comes first', 'boards.bus.session.Channel', 'begin',
         lambda _method: lambda self: setattr(
             self, 'state', type(self.state).OUT_OF_STEP)),
     'moves while stopped': Mutant(
-        '~stop holds on the bus', 'boards.bus.link.BusLink', '_refuses', _returns('')),
+        '~stop holds on the bus', 'boards.bus.link.MasterSession', '_refuses', _returns('')),
     'the timeout of the speed is doubled': Mutant(
-        'SPEED 0 after 0.5 s without a command', 'boards.arduino.motor.Motor', '__init__',
-        lambda method: lambda self, timeout, now: method(self, 2 * timeout, now)),
+        'SPEED 0 after 0.5 s without a command', 'boards.arduino.motion.Motion', '__init__',
+        lambda method: lambda self, zero, timeout: method(self, zero, 2 * timeout)),
     'a stop is not repeated': Mutant(
-        'a stop is repeated for 1 s', 'boards.arduino.motor.Motor', 'due',
+        'a stop is repeated for 1 s', 'boards.arduino.motion.Motion', 'due',
         lambda method: lambda *arguments: (
             lambda why: None if why and why.name == 'REPEATED' else why)(method(*arguments))),
     'SPEED 0 does not come first': Mutant(
-        'SPEED 0 first', 'boards.arduino.motor.Motor', 'forget_speed', _nothing),
+        'SPEED 0 first', 'boards.arduino.motion.Motion', 'forget', _nothing),
     'a stall is not noticed by the car': Mutant(
-        'commands of a stall are refused', 'boards.arduino.motor.Motor', 'detect_stall',
-        _returns(None)),
+        'commands of a stall are refused', 'link.freshness.Freshness', 'awake',
+        lambda _method: lambda self, loop, now, stamp=None: self._awake.update(
+            {loop: now}) or 0.0),
     'a backlog is kept': Mutant(
-        'what stands in a port is dropped', 'transport.port.Port', 'discard_output',
-        _returns(True)),
+        'what stands in a port is dropped', 'transport.port.Port', 'renew', _returns(0)),
     'heartbeats wait for the link': Mutant(
-        'heartbeats are in time', 'boards.arduino.heartbeat.HeartbeatThread', 'step',
+        'heartbeats are in time', 'link.writer.Writer', 'beat',
         lambda method: lambda self: max(
             method(self), self._now() + 0.04)),
     'commands while it calibrates': Mutant(
-        'a calibrating board is left alone', 'boards.arduino.output.CarOutput', '_why_not',
-        lambda method:
-            lambda self, message, now: ('', '') if self.calibration else method(
-                self, message, now)),
+        'a calibrating board is left alone', 'boards.arduino.session.CarSession', 'submit',
+        lambda method: lambda self, message, now: _without_calibration(method, self, message, now)),
     'the car moves while stopped': Mutant(
-        '~stop holds', 'boards.arduino.output.CarOutput', '_moves', _returns(False)),
+        '~stop holds', 'boards.arduino.session.CarSession', '_moves', _returns(False)),
     'stale bytes are published': Mutant(
-        'no stale value', 'link.connection.Connection', '_check_stall', lambda _method:
-            lambda self, now: setattr(self.stalls, 'awake_at', now) or 0.0),
+        'no stale value', 'link.link.Link', '_stalled', _nothing),
     'an announcement is kept over an opening': Mutant(
         'announced rows wait', 'link.announcement.BoardAnnouncement', 'reset', _nothing),
     'values of an old announcement': Mutant(
@@ -90,23 +94,22 @@ MUTANTS: Dict[str, Mutant] = {
                 setattr(state, 'confirmed', state.value is not None)
                 for state in self._states.values()] and method(self, now, write, is_current)),
     'a lent port is opened': Mutant(
-        'a lent port is left alone', 'transport.port.Port', '_refuse_while_lent', _nothing),
+        'a lent port is left alone', 'link.lending.Lending', 'runs',
+        lambda _method: property(lambda self: False)),
     'a loan without SPEED 0': Mutant(
-        'SPEED 0 is the last packet before a loan', 'boards.arduino.output.CarOutput', 'let_go',
-        lambda _method:
-            lambda self, why, resets=False: self._port.give_up(why)),
+        'SPEED 0 is the last packet before a loan', 'link.lending.Lending', '_let_go', _nothing),
     'a stamp of the moment it is published': Mutant(
         'a stamp is of the read', 'link.stamps.Stamps', 'of', lambda _method:
             lambda self, frame, read: read.stamp + 0.001),
     'a silent board is not reported': Mutant(
-        'a silent board is reported', 'boards.mcu.link.McuLink', 'idle', lambda _method:
+        'a silent board is reported', 'boards.mcu.session.SensorSession', 'idle', lambda _method:
             lambda self, now: now + 0.1),
     'frames are lost': Mutant(
-        'every valid frame is published', 'link.link.Link', 'deliver', lambda method:
+        'every valid frame is published', 'link.receiver.Receiver', '_deliver', lambda method:
             lambda self, frame, now: None if frame.raw[2:3] == b'\x05' else method(
                 self, frame, now)),
     'frames are doubled': Mutant(
-        'a value is published once', 'link.link.Link', 'deliver', lambda method:
+        'a value is published once', 'link.receiver.Receiver', '_deliver', lambda method:
             lambda self, frame, now: [method(self, frame, now) for _ in range(
                 1 + (frame.raw[2:3] == b'\x05'))]),
     'a call is given up behind another one': Mutant(
@@ -127,18 +130,19 @@ MUTANTS: Dict[str, Mutant] = {
         'imu_data', lambda method: lambda self, now: (
             setattr(self, '_last_data', self._last_data - 1.0), method(self, now))[1]),
     'damage is counted twice': Mutant(
-        'what is damaged is counted once', 'framing.stream.StreamDecoder', '_return_noise',
-        lambda method: lambda self, noise: (method(self, noise), self.errors.update(
-            framing=self.errors['framing'] + 1))[0]),
+        'what is damaged is counted once', 'link.receiver.Receiver', '_deliver',
+        lambda method: lambda self, frame, now: (
+            method(self, frame, now), self._traffic.errors.update(
+                framing=frame.cause == 'framing'))),
     'a silent pty is trusted': Mutant(
-        'a silent pty takes no command', 'boards.arduino.link.ArduinoLink', '_check_pty', _nothing),
+        'a silent pty takes no command', 'boards.arduino.session.CarSession', 'longest_silence',
+        _returns(0.0)),
     'changed settings leave no doubt': Mutant(
-        'SPEED 0 after settings were restored', 'boards.arduino.link.ArduinoLink', 'altered',
-        _nothing),
+        'SPEED 0 after settings were restored', 'transport.port.Port', 'changed_settings',
+        lambda method: lambda self: method(self) and str(self.renew())[:0]),
     'the port is not opened again': Mutant(
-        'a port that is back is opened', 'link.connection.Connection', '_close', lambda method:
-            lambda self: (method(self), setattr(self, '_open_at', self._now() + 30.0),
-                          self._now())[2]),
+        'a port that is back is opened', 'link.reopening.Reopening', 'lost', lambda method:
+            lambda self, why, now: (method(self, why, now), setattr(self, 'at', now + 30.0))),
 }
 _FILE = Path(__file__).with_name('mutants.json')
 SEEDS: Dict[str, int] = json.loads(_FILE.read_text()) if _FILE.exists() else {}

@@ -15,10 +15,11 @@ from scenario import Command
 def heartbeats_in_time(e: Evidence) -> Verdicts:
     """No gap of 30 ms between heartbeats while the port is open and the bridge runs."""
     beats = [frame.time for frame in e.of_type(e.wrote, HEARTBEAT)]
+    resets = [(asked, asked + 0.2) for asked, _, name, task in e.story.tasks if name == 'reset']
     for begin, end in e.openings:
         times = [begin, *(each for each in beats if begin <= each <= end)]
         for last, beat in zip(times, times[1:]):
-            excused = overlaps(e.stalls[1], last, beat, SLACK)
+            excused = overlaps(e.stalls[1] + resets, last, beat, SLACK)
             yield not excused, '' if excused or beat - last < 0.03 else \
                 f'no heartbeat from {last:.3f} to {beat:.3f}'
         if end - times[-1] >= 0.05 and not overlaps(
@@ -129,7 +130,9 @@ def repeated(e: Evidence, type_: int) -> Verdicts:
         for following in sent[index + 1:]:
             if following.time > limit or not is_zero(following):
                 break
-            excused = overlaps(e.stalls[1], last.time, following.time, 0.05) \
+            excused = overlaps(e.stalls[1] + [(asked, asked + 0.2) for asked, _, name, _ in
+                                              e.story.tasks if name == 'reset'],
+                               last.time, following.time, 0.05) \
                 or any(frame.time <= each <= following.time for each in calibrations)
             yield not excused, '' if excused or following.time - last.time <= 0.065 else \
                 f'the zero of {last.time:.3f} was repeated at {following.time:.3f}'
@@ -207,7 +210,7 @@ def stale_commands_are_refused(e: Evidence) -> Verdicts:
     """What is asked for within 0.5 s after a stall is refused, zeros excepted."""
     for begin, end in longer(e.stalls[1], 0.55):
         for command in e.story.commands:
-            if end < command.time < end + FRESH - SLACK and not _is_zero(command):
+            if end < command.time < end + FRESH - SLACK and not asks_for_zero(command):
                 yield 1, '' if command.refused else \
                     f'{command.name} {command.value} at {command.time:.3f}, a stall until {end:.3f}'
 
@@ -251,8 +254,9 @@ def _wire_value(name: str, value) -> bytes:
 _TYPES = {'speed': SPEED, 'steering': STEERING, 'led': LED, 'gripper': GRIPPER, 'drive': DRIVE}
 
 
-def _is_zero(command: Command) -> bool:
-    return command.value in (0, (0.0, 0.0))
+def asks_for_zero(command: Command) -> bool:
+    return command.value in (0, (0.0, 0.0)) or command.name == 'drive' and not all(
+        map(isfinite, command.value))
 
 
 def _is_saturated(command: Command) -> bool:
@@ -284,7 +288,7 @@ def commands_arrive(e: Evidence) -> Verdicts:
     disturbed = e.stalls[1] + e.stalls[0] + e.events('blocked', 'altered', 'cut', 'unplugged') + [
         (asked, asked + 0.1) for asked, _, _, _ in e.story.tasks]
     for command in e.story.commands:
-        if command.name not in _TYPES or command.refused or _is_zero(command):
+        if command.name not in _TYPES or command.refused or asks_for_zero(command):
             continue
         opened, closed = e.opening_of(command.time)
         excused = closed < command.time + 0.2 or overlaps(
@@ -312,8 +316,7 @@ def refusals_are_true(e: Evidence) -> Verdicts:
             yield 1, '' if cause else f'{command.name} at {now:.3f} was accepted, it is closed'
             continue
         bad = command.name == 'led' and (
-            len(command.value) > 30 or not command.value.isascii()) \
-            or command.name == 'drive' and _is_saturated(command)
+            len(command.value) > 30 or not command.value.isascii())
         may = {'': not bad, 'value': bad, 'stopped': overlaps(e.stops, now, now),
                'calibrating': overlaps(calibrations, now, now) or command.name == 'calibrate',
                'stall': overlaps(longer(merged(e.stalls[1] + e.stalls[0]), STALL), now, now,
@@ -322,9 +325,10 @@ def refusals_are_true(e: Evidence) -> Verdicts:
                    now - limit + 0.2 < each <= now - 0.15 for each in reads),
                # A board that runs for long announces a chunk a second.
                'not announced': story.announces and (now < opened + 14.0 or overlaps(
-                   e.events('silence', 'reset', 'noise', 'unplugged') + e.stalls[0],
-                   now - 14.0, now) or any(device.damage_received)),
-               'port': overlaps([(end, end) for _, end in e.openings], now - 0.2, now, 0.2)
+                    e.events('silence', 'reset', 'noise', 'unplugged') + e.stalls[0],
+                    now - 14.0, now) or any(device.damage_received)),
+               'port': device.kind == 'network' and overlaps(e.stalls[0], now, now, 0.1)
+               or overlaps([(end, end) for _, end in e.openings], now - 0.2, now, 0.2)
                or not opened < float('inf') or overlaps(
                    [(asked, asked + 0.2) for asked, _, _, _ in story.tasks], now, now)}
         yield 1, '' if may.get(cause, cause in ('busy', 'stopping')) else \
@@ -353,7 +357,7 @@ def calibrations_end(e: Evidence) -> Verdicts:
             f'the calibration of {start:.3f} goes on at {last:.3f}'
         if end is None:
             continue
-        times = [start, *(frame.time for frame in imu if start < frame.time <= end)]
+        times = [start, *sorted({frame.time for frame in imu if start < frame.time <= end})]
         # Of those that may have been dropped after a stall either may count.
         sure = [each for each in times[:-1] if not overlaps(stalls, each, each, FRESH + 0.1)]
         stalled = sum(min(high, end) - low for low, high in longer(stalls, 0.31)
@@ -411,8 +415,8 @@ def silences_were_observed(e: Evidence) -> Verdicts:
 def heartbeats_are_regular(e: Evidence) -> Verdicts:
     """100 heartbeats a second, and never over 13 in 0.1 s, also after a stall."""
     beats = [frame.time for frame in e.of_type(e.wrote, HEARTBEAT)]
-    # The link's thread closes a port that is lent.
-    lent = [stall for stall in e.stalls[0] if overlaps(
+    # The link's thread closes a port that is lent, or a connection that is given up.
+    lent = [stall for stall in e.stalls[0] if e.story.device.kind == 'network' or overlaps(
         [(asked, asked) for asked, _, _, _ in e.story.tasks], *stall)]
     for index, beat in enumerate(beats[:-13]):
         yield 1, '' if beats[index + 13] > beat + 0.1 else f'13 heartbeats from {beat:.3f} on'
@@ -473,8 +477,12 @@ def no_stop_without_a_cause(e: Evidence) -> Verdicts:
 
 def dropped_output_ends_with_speed_0(e: Evidence) -> Verdicts:
     """SPEED 0 is the first packet after dropped output, and after the settings of a tty were
-    restored."""
+    restored, but while the board calibrates."""
+    starts = [time for time, on in e.story.robot.calibrating if on]
+    ends = [time for time, on in e.story.robot.calibrating if not on]
     for time in e.story.device.flushes + e.story.device.restorations:
+        if overlaps(list(zip(starts, [*ends, float('inf')])), time, time):
+            continue
         first = _first_but_zeros([frame for frame in e.wrote if frame.begun > time])
         excused = first is None or first.time > e.opening_of(time)[1] or overlaps(
             e.suspended, time, first.time) or any(

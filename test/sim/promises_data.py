@@ -86,7 +86,9 @@ def frames_are_published(e: Evidence) -> Verdicts:
             or frame.time - frame.begun > 0.04 or overlaps(
                 e.events('altered'), frame.begun - 1.0, frame.time, 0.6) \
             or any(0.04 < frame.begun - chunk.time < 0.06 for chunk in e.story.device.bridge_read) \
-            or any(abs(frame.time - end) < 0.02 for _, end in e.openings)
+            or any(abs(frame.time - end) < 0.02 for _, end in e.openings) \
+            or any(frame.begun - 0.01 <= each <= frame.time + 0.01
+                   for each in e.story.device.flushes)
         yield not excused, '' if excused else \
             f'{names[0]} {wanted} read at {frame.time:.3f} was not published'
 
@@ -152,7 +154,8 @@ def _stamps(e: Evidence) -> Iterator[Tuple[bool, Tuple[int, str]]]:
         first[opened] = min(first[opened], time)
         # A restart of the board's clock, and a stall, begin anew.
         excused = time < first[opened] + 2.5 or overlaps(
-            longer(e.stalls[0], STALL) + e.events('reset', 'silence'), time - 3.0, time)
+            longer(e.stalls[0], STALL) + e.events('reset', 'silence') + [
+                (each, each) for each in device.flushes], time - 3.0, time)
         at = min(times, key=lambda each: abs(each - stamp))
         again = any(later - boot < 2.1 and later > time - 13.0
                     for boot, later in zip(boots, boots[1:]))

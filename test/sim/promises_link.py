@@ -229,12 +229,14 @@ def lost_frames_are_counted(e: Evidence) -> Verdicts:
 
 
 def stale_bytes_are_counted(e: Evidence) -> Verdicts:
-    """What waited during a stall is dropped and counted; without a stall nothing is."""
+    """What waited in a doubt is dropped and counted; without a doubt nothing is. On the bus it is
+    decoded."""
     device, counted = e.story.device, e.story.counted
     stalls = longer(merged(e.stalls[0]), STALL)
     for (last, before, *_), (time, report, *_) in zip(counted, counted[1:]):
         more = report['stale'] - before['stale']
-        if not overlaps(stalls, last, time, 0.7):
+        if e.kind == 'bus' or not overlaps(stalls, last, time, 0.7) and not any(
+                last <= each <= time for each in device.flushes):
             yield 1, '' if not more else f'{more} bytes are stale at {time:.3f}'
             continue
         # Of a stall of which the loop knows: its end is between the two reports.
@@ -385,7 +387,7 @@ def wanted_settings_return(e: Evidence) -> Verdicts:
             if values and not later:
                 data = setting(name, values[-1])
                 yield 1, '' if any(frame.data == data and boot < frame.time <= heard + 1.0 for frame
-                                   in e.of_type(e.got, SETTING)) else \
+                                   in e.of_type(e.got + e.read, SETTING)) else \
                     f'{name} {values[-1]} is not back after the reset of {boot:.3f}'
 
 

@@ -3,9 +3,9 @@ import io
 import re
 
 import pytest
-from serial_communication.link.outcome import Verdict
 from serial_communication.tools.demo.state import Demo
 from serial_communication.tools.watch import table
+from serial_communication.tools.watch.calls import Verdict
 from serial_communication.tools.watch.state import LinkState
 from serial_communication.tools.watch.table import Screen
 

@@ -3,7 +3,9 @@ from types import SimpleNamespace as Message
 
 import pytest
 from serial_communication.boards import BOARDS, description
+from serial_communication.srv import LiftResponse
 from serial_communication.tools.watch import topics
+from serial_communication.tools.watch.calls import Verdict, read_response
 from serial_communication.tools.watch.state import BridgeState, LinkState, TopicState
 from serial_communication.tools.watch.topics import BridgeTopic
 
@@ -17,6 +19,13 @@ def words(type_, message):
 def custom_topics(parameters):
     return [topic for name in BOARDS
             for topic in topics.row_topics(description(name), parameters)]
+
+
+@pytest.mark.parametrize('status, verdict', [
+    (LiftResponse.NOT_SENT, Verdict.REFUSED), (3, Verdict.REFUSED), (255, Verdict.REFUSED),
+    (LiftResponse.TIMEOUT, Verdict.NOT_KNOWN), (2, Verdict.NOT_KNOWN), (77, Verdict.NOT_KNOWN)])
+def test_only_a_call_that_was_certainly_not_executed_counts_as_refused(status, verdict):
+    assert read_response(LiftResponse(False, status, 0, 'why')) == (verdict, 'why')
 
 
 # -- names and what a bridge publishes ---------------------------------------------------------

@@ -17,11 +17,11 @@ class AnnouncementReader:
     there is no text. No answer means nothing: then it asks for all of it again, after a pause.
 
     Args:
-        ask: submits the request for the chunk with this index.
+        ask: submits the request for the chunk with this index; gets the time, too.
         assembly: takes the chunks.
     """
 
-    def __init__(self, ask: Callable[[int], Call], assembly: Assembly, log: SparingLog) -> None:
+    def __init__(self, ask: Callable[[int, float], Call], assembly: Assembly, log: SparingLog) -> None:
         self._ask, self._assembly, self._log = ask, assembly, log
         self._call: Optional[Call] = None       # the question that is asked
         self._index = 0
@@ -47,7 +47,7 @@ class AnnouncementReader:
         """Ask for the next chunk if it is time; return the text that the board announces if it is
         now known and not the latest, else None."""
         if self._call is None and now >= self._ask_at:
-            self._call, self._ask_at = self._ask(self._index), _NEVER
+            self._call, self._ask_at = self._ask(self._index, now), _NEVER
         outcome = self._call.outcome if self._call else None
         if outcome is None:
             return None

@@ -1,8 +1,7 @@
 """Calls of the bus: a request and its outcome, and the queue in which calls wait for their turn."""
 import threading
-from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, Callable, Deque, List, Optional
+from typing import Any, Callable, List, Optional
 
 from ...link.outcome import LOOK, NOT_SENT, TIMEOUT, Outcome
 from . import wire
@@ -13,7 +12,7 @@ UNKNOWN = f'it is not known whether this was executed; {LOOK}'
 
 @dataclass(eq=False)
 class Call:
-    """One request and its outcome. The Master changes it; other threads wait for its events."""
+    """One request and its outcome. The Master changes it; other threads wait until it is over."""
 
     request: wire.Request
     function: wire.Function
@@ -27,7 +26,6 @@ class Call:
     told: Optional[Outcome] = None      # unless it is sent again; None: nothing was sent
     refused: Optional[Outcome] = None   # instead, once an ECHO has returned: no try was executed
     outcome: Optional[Outcome] = None
-    written: threading.Event = field(default_factory=threading.Event)
     over: threading.Event = field(default_factory=threading.Event)
 
     def without_reply(self, why: str) -> Outcome:
@@ -53,7 +51,6 @@ class Queue:
     def __init__(self, longest_wait: float) -> None:
         self.longest_wait = longest_wait
         self.waiting: List[Call] = []
-        self.submitted: Deque[Call] = deque()   # not taken yet; any thread may append
 
     def urgent(self) -> Optional[Call]:
         """The stop to send now, whatever is outstanding; rule 8."""

@@ -1,24 +1,171 @@
 """The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
+import logging
 import os
-import threading
 from typing import Any, Callable, List, Optional, Sequence, Tuple
 
 from ...framing.stream import IMPLAUSIBLE, LENGTH, Frame
-from ...link.connection import PortState
 from ...link.link import Link
 from ...link.outcome import NOT_SENT, STOPPED, TIMEOUT, Outcome
-from ...link.stall import LONGEST_SLEEP
-from ...transport.port import Port, PortBusy, PortError
+from ...link.session import Condition, Packet, Refused, Session
+from ...link.sparing_log import SparingLog
+from ...transport.pace import clock
+from ...transport.port import Port
 from . import wire
 from .announcement import AnnouncementReader
 from .call import UNKNOWN, Call, OnSuccess
-from .master import STALLED, BusSettings, Hooks, Master
+from .master import BusSettings, Master
 from .polls import Polls
-from .session import Condition, Exchange
+from .session import NO_SYNC, READY
 
 _NOT_ANNOUNCED = 'the board may have begun anew, and has not announced this function since'
-_WRITTEN = 0.3      # s for a stop to be written
-_BLOCKED = 0.05     # s until the next try, after the port took no data
+
+
+class MasterSession(Session):
+    """The Master's session as a link drives it.
+
+    Args:
+        nonce: returns new bytes for an ECHO.
+    """
+
+    NAME = 'bus'
+    FENCED = True      # the Master drops all replies until its ECHO or SYNC is answered
+
+    def __init__(self, log: SparingLog, settings: BusSettings, nonce: Callable[[], bytes],
+                 on_environment: Callable[[wire.Environment, Any], None]) -> None:
+        super().__init__(wire.ReplyDecoder(settings.reply_has_cmd2), log)
+        self.master = Master(settings, log, nonce, self._refuses, self._begun_anew)
+        self.on_environment: OnSuccess = lambda outcome: on_environment(
+            wire.Environment.unpack(outcome.data), outcome.stamp)
+        self.polls = Polls(self._poll)
+        # Requests of functions that interrupt, which ~stop calls.
+        self.stops: List[Tuple[wire.Request, wire.Function]] = []
+        self._settings = settings
+        self._reader: Optional[AnnouncementReader] = None
+        if settings.environment_period:
+            self.polls.add(wire.ENVIRONMENT_FUNCTION, settings.environment_period,
+                           self.on_environment)
+
+    # -- for the Master -----------------------------------------------------------------
+
+    def _refuses(self, function: wire.Function) -> str:
+        if self.is_stopped and not function.repeatable:
+            return STOPPED
+        is_missing = function.announced and not self.announcement.is_current    # rule 12
+        return _NOT_ANNOUNCED if is_missing else ''
+
+    def _begun_anew(self, now: float) -> None:
+        self.announcement.reset()
+        if self._reader:
+            self._reader.begin(now)
+
+    def _poll(self, request: wire.Request, function: wire.Function, now: float,
+              on_success: Optional[OnSuccess] = None) -> Call:
+        call = self.master.make(request, function, now, on_success, is_poll=True)
+        self.master.submit(call, now)
+        return call
+
+    def _ask(self, index: int, now: float) -> Call:
+        return self._poll(wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT, now)
+
+    # -- what happens -------------------------------------------------------------------
+
+    def begin(self, now: float, is_opening: bool) -> None:
+        if not is_opening:
+            self.master.doubt('the link begins anew', now)
+            return
+        self.polls.start(now)
+        if self._settings.announcements:
+            self._reader = AnnouncementReader(self._ask, self.announcement.assembly, self.log)
+        self.master.begin(now)
+
+    def end(self, why: str, now: float) -> None:
+        self.master.end(why, now)
+
+    def received(self, frame: Frame, now: float) -> None:
+        with self.lock:
+            self.master.received(frame, now)
+
+    def damaged(self, frame: Frame, now: float) -> None:
+        with self.lock:
+            self.master.damaged(frame, now)
+
+    def not_sent(self, packet: Packet, why: str) -> None:
+        self.master.not_sent(packet.message, why)
+
+    # -- what to do ---------------------------------------------------------------------
+
+    def may_be_old(self, request: Any) -> bool:
+        call = request if isinstance(request, Call) else self.master.channel.call
+        return call is None or call.function.repeatable
+
+    def submit(self, request: Call, now: float) -> List[Packet]:
+        self.master.submit(request, now)
+        self.wake()
+        return self._stops(now)
+
+    def stop(self, now: float, why: str = '') -> Tuple[List[Packet], str]:
+        moving = '' if self.stops else self.under_way()
+        for request, function in () if why else self.stops:
+            self.master.submit(self.master.make(request, function, now), now)
+        return self._stops(now), moving
+
+    def due(self, now: float, is_drained: bool) -> Tuple[List[Packet], Optional[float]]:
+        master, due = self.master, now + 1.0
+        if master.channel.synchronised:
+            due = self.polls.tick(now, self.announcement.is_current)
+            text = self._reader.tick(now) if self._reader else None
+            if text is not None and self.announcement.on_text:
+                self.announcement.on_text(text)
+        master.channel.heard(self.presence.byte_at)
+        master.tick(now)
+        request = master.next(now, is_drained and not self.decoder.begun)
+        if request:
+            return [self._packet(request)], now     # there may be more to send
+        return [], min(due, master.due(now))
+
+    def _stops(self, now: float) -> List[Packet]:
+        """The requests that interrupt."""
+        return [self._packet(each) for each in iter(lambda: self.master.next(now, False), None)]
+
+    def _packet(self, request: wire.Request) -> Packet:
+        return Packet(wire.encode_request(request, self._settings.environment_datelen),
+                      request.cmd1, request.cmd2, request.data, request)
+
+    def under_way(self, is_reset: bool = False) -> str:
+        call = self.master.channel.call
+        return '' if call is None or call.function.repeatable else f'"{call.request}" is under way'
+
+    # -- what it looks like ---------------------------------------------------------------
+
+    def condition(self, now: float) -> Condition:
+        condition = self.master.channel.condition
+        unknown = self.presence.no_frame(now) if condition is NO_SYNC else ''
+        return condition._replace(summary=unknown or condition.summary)
+
+    def talks(self, now: float) -> Optional[bool]:
+        # None: the board answers, perhaps SYNC alone, which the channel logs.
+        condition = self.master.channel.condition
+        return True if condition is READY else False if condition is NO_SYNC else None
+
+    def silence(self) -> str:
+        return f'{self.master.channel.condition.summary}; SYNC is repeated'
+
+    def shown(self, frame: Frame) -> Frame:
+        call = self.master.channel.call
+        if frame.cause or call is None:
+            return frame
+        return frame._replace(message=call.function.name_reply(frame.message))
+
+    def error_count(self) -> int:
+        return self.master.timeouts + sum(self.master.data_errors.values())
+
+    def values(self) -> List[Tuple[str, Any]]:
+        times = sorted(self.master.round_trips)
+        return [('timeouts', self.master.timeouts),
+                ('length errors', self.master.data_errors[LENGTH]),
+                ('implausible errors', self.master.data_errors[IMPLAUSIBLE]),
+                ('round trip p50 [ms]', f'{times[len(times) // 2] * 1e3:.2f}' if times else '-'),
+                ('round trip max [ms]', f'{times[-1] * 1e3:.2f}' if times else '-')]
 
 
 class BusLink(Link):
@@ -27,38 +174,24 @@ class BusLink(Link):
     Args:
         on_environment: called in the link's thread with each reading and its stamp.
         nonce: returns new bytes for an ECHO.
-        link_arguments: frame_timeout, clock, now and logger, as for `Link`.
+        link_arguments: those of `Link`.
     """
 
-    HAS_FENCES = True      # the Master drops all replies until its ECHO or SYNC is answered
-    DRAINS = True          # no request may be sent before everything received has been read
+    session: MasterSession
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),
-                 on_environment: Optional[Callable[[wire.Environment, Any], None]] = None,
-                 nonce: Callable[[], bytes] = lambda: os.urandom(4), **link_arguments: Any) -> None:
-        super().__init__('bus', port, wire.ReplyDecoder(settings.reply_has_cmd2),
+                 on_environment: Callable[[wire.Environment, Any], None] = lambda *_: None,
+                 nonce: Callable[[], bytes] = lambda: os.urandom(4),
+                 logger: Optional[logging.Logger] = None, now: Callable[[], float] = clock,
+                 **link_arguments: Any) -> None:
+        log = SparingLog('bus', logger or logging.getLogger(__name__), clock=now)
+        super().__init__(port, MasterSession(log, settings, nonce, on_environment), now=now,
                          **link_arguments)
-        self.settings = settings
-        self.master = Master(settings, self.log, Hooks(
-            nonce, self._refuses, self._board_begun_anew, self.port.discard_output))
-        self.lending.under_way = self.master.under_way
-        self._on_environment: OnSuccess = lambda outcome: on_environment and on_environment(
-            wire.Environment.unpack(outcome.data), outcome.stamp)
-        self.polls = Polls(self._poll)
-        self._reader: Optional[AnnouncementReader] = None
-        # Requests of functions that interrupt, which ~stop calls.
-        self.stops: List[Tuple[wire.Request, wire.Function]] = []
-        self._writing = threading.Lock()    # held from the Master's decision to the write
-        if settings.environment_period:
-            self.polls.add(wire.ENVIRONMENT_FUNCTION, settings.environment_period,
-                           self._on_environment)
-
-    # -- for callers --------------------------------------------------------------------
 
     def environment(self) -> Tuple[Outcome, Optional[wire.Environment]]:
         """A new reading, or None if the request did not succeed."""
         outcome = self.request(wire.ENVIRONMENT_REQUEST, wire.ENVIRONMENT_FUNCTION,
-                               on_success=self._on_environment)
+                               on_success=self.session.on_environment)
         return outcome, wire.Environment.unpack(outcome.data) if outcome.success else None
 
     def call(self, function: wire.Function, values: Sequence) -> Outcome:
@@ -73,7 +206,7 @@ class BusLink(Link):
                 on_success: Optional[OnSuccess] = None) -> Outcome:
         """Send any request and wait for its outcome, which always comes: see `submit`."""
         call = self.submit(request, function, on_success)
-        turns = call.tries * (self.master.queue.longest_wait + call.timeout)
+        turns = call.tries * (self.session.master.queue.longest_wait + call.timeout)
         if not call.over.wait(turns):       # then the Master drops it
             call.finish(Outcome(TIMEOUT, f'the bridge is stuck: {UNKNOWN}'))
         assert call.outcome
@@ -83,150 +216,13 @@ class BusLink(Link):
                on_success: Optional[OnSuccess] = None) -> Call:
         """Have a request sent, and return the call, which gets its outcome; `on_success` is called
         in the link's thread."""
-        size, refusal = len(request.data), ''
-        if size > wire.MAX_LENGTH:
-            refusal = f'data is {size} bytes long, may be at most {wire.MAX_LENGTH}'
-        elif not self.port.is_open:
-            refusal = f'the port {self.port.url} is closed ({self.connection.trouble})'
-        elif not function.repeatable and self.connection.may_be_from_a_stall():
-            refusal = STALLED
-        call = self.master.submit(request, function, self.now(), on_success, refusal=refusal)
-        self.wake()
-        return call
-
-    def stop_motion(self) -> str:
-        """Send all requests that interrupt; without any, a move that is under way goes on."""
-        with self._writing:         # from now on the link's thread sees `is_stopped`
-            moving = '' if self.stops else self.master.under_way()
-        calls = [self.master.submit(*stop, self.now()) for stop in self.stops]
-        self.wake()
-        deadline = self.now() + _WRITTEN
-        missing = [call for call in calls
-                   if not call.written.wait(max(0.0, deadline - self.now()))]
-        return '; '.join(filter(None, [moving, *(
-            f'{call.request}: {call.outcome.message if call.outcome else "not written in time"}'
-            for call in missing)]))
-
-    # -- for the Master -----------------------------------------------------------------
-
-    def _refuses(self, function: wire.Function) -> str:
-        """Why a function is not sent now; '': it is."""
-        if self.is_stopped and not function.repeatable:
-            return STOPPED
-        is_missing = function.announced and not self.announcement.is_current    # rule 12
-        return _NOT_ANNOUNCED if is_missing else ''
-
-    def _board_begun_anew(self, now: float) -> None:
-        self.announcement.reset()
-        if self._reader:
-            self._reader.begin(now)
-
-    def _poll(self, request: wire.Request, function: wire.Function,
-              on_success: Optional[OnSuccess] = None) -> Call:
-        return self.master.submit(request, function, self.now(), on_success, is_poll=True)
-
-    # -- hooks --------------------------------------------------------------------------
-
-    def opened(self, now: float) -> None:
-        self.polls.start(now)
-        if self.settings.announcements:
-            self._reader = AnnouncementReader(lambda index: self._poll(
-                wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT),
-                self.announcement.assembly, self.log)
-        self.master.session.begin()
-
-    def closed(self, now: float) -> None:
-        self.master.end(self.connection.trouble, now)
-
-    def idle(self, now: float) -> Optional[float]:
-        self.master.tick(now)
-        return None
-
-    def received(self, frame: Frame, now: float) -> None:
-        self.master.received(frame, now)
-
-    def shown(self, frame: Frame) -> Frame:
-        call = self.master.session.call
-        if frame.cause or call is None:
-            return frame
-        return frame._replace(message=call.function.name_reply(frame.message))
-
-    def damaged(self, frame: Frame, now: float) -> None:
-        self.master.damaged(frame, now)
-
-    def stalled(self, seconds: float, now: float) -> None:
-        self.master.stalled(now)
-
-    def altered(self, now: float) -> None:
-        self.master.doubt('another program changed the settings of the port', now)
-
-    def tick(self, now: float) -> Optional[float]:
-        master, due = self.master, now + LONGEST_SLEEP
-        if master.session.synchronised:
-            due = min(due, self.polls.tick(now, self.announcement.is_current))
-            text = self._reader.tick(now) if self._reader else None
-            if text is not None and self.announcement.on_text:
-                self.announcement.on_text(text)
-        master.session.heard(self.connection.last_byte_at)
-        has_read_all = self.connection.state is PortState.DRAINED and not self.decoder.begun
-        with self._writing:
-            master.tick(now)
-            exchange = master.next(now, has_read_all)
-            if exchange:
-                return self._write(exchange, now)
-        return min(due, master.due(now))
-
-    def _write(self, exchange: Exchange, now: float) -> float:
-        """Write a request; return when to look for the next one."""
-        request, call = exchange.request, exchange.call
-        frame = wire.encode_request(request, self.settings.environment_datelen)
-        is_old = self.connection.stalls.stalled_for(self.now())     # since `next`
-        if is_old and call and not call.function.repeatable:
-            self.master.not_sent(exchange, STALLED)
-            return now
+        call = self.session.master.make(request, function, self.now(), on_success)
+        size = len(request.data)
         try:
-            self.send(frame, request.cmd1, request.cmd2, request.data, request)
-        except PortBusy as error:
-            self.log.warn('busy', f'{error}; the output that waited is dropped; '
-                          'does flow control block the port?')
-            self.port.discard_output()
-            self.master.not_sent(exchange, str(error))
-            return now + _BLOCKED
-        except PortError:
-            self.master.not_sent(exchange, 'the port closed')
-            raise
-        if call:
-            call.written.set()
-        return now
-
-    # -- diagnostics --------------------------------------------------------------------
-
-    def condition(self, now: float) -> Tuple[int, str]:
-        if not self.port.is_open:
-            return super().condition(now)
-        condition = self.master.session.condition
-        unknown = self.presence.meaning(now) if condition is Condition.NO_SYNC else ''
-        return condition.level, unknown or condition.text
-
-    def condition_of_board(self, now: float) -> str:
-        return self.master.session.condition.word
-
-    def talks(self, now: float) -> Optional[bool]:
-        # None for NO_ECHO: the board answers SYNC, and the session has logged the rest.
-        return {Condition.READY: True, Condition.NO_SYNC: False}.get(
-            self.master.session.condition)
-
-    def silence(self) -> str:
-        return (f'{self.master.session.condition.text}; SYNC is repeated; check its power, its '
-                f'wiring and the baud rate ({self.port.baud})')
-
-    def error_count(self) -> int:
-        return super().error_count() + self.master.timeouts + sum(self.master.data_errors.values())
-
-    def extra_values(self) -> List[Tuple[str, Any]]:
-        times = sorted(self.master.round_trips)
-        return [('timeouts', self.master.timeouts),
-                ('length errors', self.master.data_errors[LENGTH]),
-                ('implausible errors', self.master.data_errors[IMPLAUSIBLE]),
-                ('round trip p50 [ms]', f'{times[len(times) // 2] * 1e3:.2f}' if times else '-'),
-                ('round trip max [ms]', f'{times[-1] * 1e3:.2f}' if times else '-')]
+            if size > wire.MAX_LENGTH:
+                raise Refused(f'data is {size} bytes long, may be at most {wire.MAX_LENGTH}',
+                              'value')
+            self.writer.submit(call)
+        except Refused as refused:
+            call.finish(call.without_reply(str(refused)))
+        return call

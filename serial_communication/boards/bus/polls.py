@@ -22,7 +22,8 @@ class Poller:
 class Polls:
     """All polls of a link. A poll is not submitted while the one before it is outstanding."""
 
-    def __init__(self, submit: Callable[[wire.Request, wire.Function, OnSuccess], Call]) -> None:
+    def __init__(self, submit: Callable[[wire.Request, wire.Function, float, OnSuccess],
+                                        Call]) -> None:
         self._submit = submit
         self._pollers: List[Poller] = []
 
@@ -50,7 +51,7 @@ class Polls:
             if poller.pace.passed(now) and (poller.latest is None or poller.latest.outcome):
                 function = poller.function
                 zeros = (0,) * len(function.request.values)
-                poller.latest = self._submit(function.make_request(zeros), function,
+                poller.latest = self._submit(function.make_request(zeros), function, now,
                                              poller.on_success)
             due = min(due, poller.pace.due)
         return due

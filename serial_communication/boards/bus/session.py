@@ -8,13 +8,19 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Dict, Optional
 
-from ...link.link import ERROR, OK, WARN
+from ...link.session import ERROR, OK, WARN, Condition
 from ...link.sparing_log import SparingLog
 from . import wire
 from .call import Call
 
 TRIES = 3           # SYNCs or ECHOs in a row without an answer, after which no call is sent
 SILENCE = 0.02      # s of silence as a fence: a USB adapter delivers bytes up to 16 ms late
+
+READY = Condition(OK, 'ok', 'ready')
+SYNCHRONISING = Condition(WARN, 'not_synchronised', 'synchronising')
+NO_SYNC = Condition(ERROR, 'not_synchronised', 'the board does not answer SYNC')
+OUT_OF_STEP = Condition(WARN, 'out_of_step', 'out of step')
+NO_ECHO = Condition(ERROR, 'no_echo', 'the board does not answer ECHO (see bus/echo)')
 
 
 class State(enum.Enum):
@@ -25,19 +31,6 @@ class State(enum.Enum):
     OUT_OF_STEP = 'ECHO, or SYNC if the board knows none: a reply may still be under way'
     IN_STEP = 'SYNC, ECHO, or the same poll again; before any other request, a fence'
     FENCED = 'any request: no reply can be under way'
-
-
-class Condition(enum.Enum):
-    """Whether calls are served: level, the word for programs, and words for people."""
-
-    READY = OK, 'ok', 'ready'
-    SYNCHRONISING = WARN, 'not_synchronised', 'synchronising'
-    NO_SYNC = ERROR, 'not_synchronised', 'the board does not answer SYNC'
-    OUT_OF_STEP = WARN, 'out_of_step', 'out of step'
-    NO_ECHO = ERROR, 'no_echo', 'the board does not answer ECHO (see bus/echo)'
-
-    def __init__(self, level: int, word: str, text: str) -> None:
-        self.level, self.word, self.text = level, word, text
 
 
 class Kind(enum.Enum):
@@ -102,7 +95,7 @@ class Exchange:
     heard: bool = False     # a byte was received since
 
 
-class Session:
+class Channel:
     """What may be sent, as the table says. All times are in s of one monotonic clock.
 
     Args:
@@ -132,12 +125,12 @@ class Session:
     def condition(self) -> Condition:
         """Whether calls are served, and if not, why."""
         if self.unanswered[Kind.SYNC]:
-            return Condition.NO_SYNC
+            return NO_SYNC
         if self.unanswered[Kind.ECHO] >= TRIES:
-            return Condition.NO_ECHO
+            return NO_ECHO
         if not self.synchronised:
-            return Condition.SYNCHRONISING
-        return Condition.READY if self.in_step else Condition.OUT_OF_STEP
+            return SYNCHRONISING
+        return READY if self.in_step else OUT_OF_STEP
 
     @property
     def call(self) -> Optional[Call]:
@@ -184,14 +177,14 @@ class Session:
         return None if then is WAIT else call
 
     def send(self, request: wire.Request, now: float, timeout: float,
-             call: Optional[Call] = None) -> Exchange:
+             call: Optional[Call] = None) -> wire.Request:
         """Begin an exchange."""
         probe = Kind.ECHO if request.cmd1 == wire.ECHO else Kind.SYNC
         self.exchange = Exchange(Kind.CALL if call else probe, request, now, now + timeout, call)
         self.latest = request
         if call:
             self.state = State.IN_STEP
-        return self.exchange
+        return request
 
     def is_fenced(self, now: float) -> bool:
         """Whether no reply can be under way; rule 6."""

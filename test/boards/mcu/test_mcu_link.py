@@ -3,8 +3,8 @@
 import pytest
 
 from steps import Steps
-from serial_communication.link.link import OK
-from serial_communication.boards.mcu.link import McuLink
+from serial_communication.link.session import OK
+from links import McuLink
 from serial_communication.boards.mcu import wire as mcu
 
 
@@ -29,6 +29,12 @@ class Watched:
     def give(self, data):
         self.steps.give(data)
 
+    def shown(self, key):
+        return dict(self.link.session.values())[key]
+
+    def talks(self):
+        return self.link.session.talks(0.0)
+
     def seqs(self):
         return [seq for _, seq, _ in self.got]
 
@@ -47,7 +53,7 @@ def test_frames_are_passed_on_with_seq_and_stamp(watch):
     watched.give(status(7) + mcu.encode(ADC, 8))
     assert watched.got == [(mcu.SensorStatus(107, 200, 1.0, 2.0, 3.0), 7, 'stamp'),
                            (ADC, 8, 'stamp')]
-    assert watched.link.frames_lost == 0 and not watched.link.silent
+    assert watched.shown('frames lost') == 0 and watched.talks()
     assert watched.link.report(watched.steps.port.time)[:2] == (OK, 'open')
 
 
@@ -57,15 +63,14 @@ def test_frames_are_passed_on_with_seq_and_stamp(watch):
 def test_lost_frames_are_counted_over_the_modulo(watch, seqs, lost):
     watched = watch()
     watched.give(b''.join(map(status, seqs)))
-    assert watched.seqs() == list(seqs) and watched.link.frames_lost == lost
-    assert dict(watched.link.extra_values())['frames lost'] == lost
+    assert watched.seqs() == list(seqs) and watched.shown('frames lost') == lost
 
 
 def test_a_doubled_frame_is_passed_on_once(watch):
     watched = watch()
     watched.give(status(1) + status(2) * 3 + status(3))
     assert watched.seqs() == [1, 2, 3]
-    assert (watched.link.duplicates, watched.link.frames_lost) == (2, 0)
+    assert (watched.shown('frames doubled'), watched.shown('frames lost')) == (2, 0)
 
 
 class Timed(Watched):
@@ -73,37 +78,37 @@ class Timed(Watched):
 
     def __init__(self, logger, **options):
         super().__init__(logger, timeout=0.2, **options)
-        self._begin = self._now = self.link._latest[None].received_at
+        self._begin = self._now = self.link.session._latest[None].received_at
 
     def wait(self, end):
         """Return the silences that are reported until then, with the time of each."""
         del self.silences[:]
         found = []
         while self._now < self._begin + end:
-            self._now = min(self.link.idle(self._now), self._begin + end)
-            self.link.idle(self._now)
+            self._now = min(self.link.session.idle(self._now), self._begin + end)
+            self.link.session.idle(self._now)
             found += [(kind, seq, pytest.approx(age), pytest.approx(self._now - self._begin))
                       for kind, seq, age in self.silences]
             del self.silences[:]
         return found
 
     def receive(self, wire):
-        frame, = self.link.decoder.feed(wire)
-        self.link.received(frame, self._now)
+        frame, = self.link.session.decoder.feed(wire)
+        self.link.session.received(frame, self._now)
 
 
 def test_silence_is_reported_once_a_second_for_each_message_with_its_age(logger):
     """Otherwise the last values of one would look current while another is received."""
     board = Timed(logger)
-    assert board.wait(1.5) == [(None, 0, 0.2, 0.2), (None, 0, 1.2, 1.2)] and board.link.silent
+    assert board.wait(1.5) == [(None, 0, 0.2, 0.2), (None, 0, 1.2, 1.2)] and not board.talks()
     board.receive(status(9))
     found = []
     for tenth in range(20):
         board.receive(mcu.encode(ADC, 10 + tenth))
         found += board.wait(1.6 + tenth / 10)
-        assert not board.link.silent
+        assert board.talks()
     assert found == [(mcu.SensorStatus, 9, 0.2, 1.7), (mcu.SensorStatus, 9, 1.2, 2.7)]
     assert board.wait(4.0) == [(mcu.AdcStatus, 29, 0.2, 3.6), (mcu.SensorStatus, 9, 2.2, 3.7)]
-    assert board.link.silent
+    assert not board.talks()
     board.receive(status(30))
-    assert not board.link.silent and board.wait(4.5)[0] == (mcu.SensorStatus, 30, 0.2, 4.2)
+    assert board.talks() and board.wait(4.5)[0] == (mcu.SensorStatus, 30, 0.2, 4.2)

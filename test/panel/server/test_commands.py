@@ -9,11 +9,10 @@ from std_srvs.srv import SetBoolResponse
 
 from waiting import PATIENCE, until
 from serial_communication.boards.arduino.wire import SPEED_LIMIT
-from serial_communication.link.outcome import Verdict
 from serial_communication.tools.panel import commands as panel_commands
 from serial_communication.tools.panel.commands import Commands
 from serial_communication.tools.panel.dead_man import SILENCE, CommandRefused
-from serial_communication.tools.watch.calls import Answer
+from serial_communication.tools.watch.calls import Answer, Verdict
 
 NODE = '/serial_communication'
 PAGE = 'a page'
