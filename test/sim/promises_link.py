@@ -84,7 +84,7 @@ def frames_are_counted(e: Evidence) -> Verdicts:
             count = sum(each == direction and not cause for each, _, cause in frames)
             yield 1, '' if report[name] == count else \
                 f'{name} at {time:.3f}: {report[name]}, tapped {count}'
-        if _is_calm(e) and len(e.openings) == 1:
+        if _is_calm(e) and len(e.openings) == 1 and not e.story.device.flushes:
             data = b''.join(chunk.data for chunk in e.story.device.bridge_read[:read])
             count = len(decode(data, _decoders(e)[0])[0])
             yield 1, '' if report['frames received'] == count else \
