@@ -26,7 +26,7 @@ bench    python3-psutil python3-tqdm python3-tabulate
 browser  chromium chromium-driver python3-selenium
 avr      gcc-avr avr-libc arduino-core-avr avrdude simavr libsimavr-dev libelf-dev pkg-config
 ide      arduino-builder arduino-ctags
-esp      gcc-xtensa-lx106 qemu-system-misc
+esp      gcc-xtensa-lx106
 view     rviz=rviz python3-rviz=rviz ros-robot-state-publisher=robot-state-publisher xvfb
 pictures imagemagick
 END

@@ -10,7 +10,7 @@ import sys
 import pytest
 from hypothesis import HealthCheck, settings
 
-pytest.register_assert_rewrite('protocol_cases', 'boards', 'fake_boards', 'bus_model')
+pytest.register_assert_rewrite('protocol_cases', 'boards', 'fake_boards')
 
 sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), 'helpers'))
 if importlib.util.find_spec('serial_communication') is None:

@@ -1,41 +1,38 @@
-"""The base of every link: what the frames of one board mean, and what is due."""
-import logging
+"""The link to one board: a port, the session of its protocol, and the thread that drives them."""
 import operator
 import time
-from typing import Any, Callable, List, NamedTuple, Optional, Tuple
+import traceback
+from typing import Any, Callable, List, Optional
 
-from ..framing.stream import CHECKSUM, FRAMING, UNKNOWN, Decoder, Frame, stamped
+from ..framing.frame_timer import FrameTimer
 from ..transport import pace
 from ..transport.port import Port, PortError
-from .announcement import BoardAnnouncement
-from .connection import Connection
+from .freshness import FRESH
 from .lending import Lending
-from .outcome import Refused  # noqa: F401  for the boards
-from .presence import SILENCE, STARTUP_TIME, Presence
-from .settings import BoardSettings
+from .outcome import Refused
+from .receiver import Receiver
+from .reopening import Reopening
+from .report import Report, Reporter
+from .session import Doubt, Session
 from .sparing_log import SparingLog
 from .stamps import Stamps
+from .threads import Loop, prefer
+from .traffic import Traffic
+from .writer import Writer
 
-OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
-RX, TX = 0, 1                  # as in SerialMsg
-_ANNOUNCING = 5.0              # s after the opening in which a board announces what it sends
-
-Tap = Callable[[str, int, Frame], None]      # gets the link's name, RX or TX, and the frame
-
-
-class Report(NamedTuple):
-    """The state of a link, for /diagnostics."""
-
-    level: int
-    summary: str
-    values: List[Tuple[str, Any]]
+_LONGEST_SLEEP = 0.1           # s
+_LOOK_AT_SETTINGS = 1.0        # s from one look at the settings of a tty to the next
+_LEAVES = 0.1                  # s for what stops to leave the port before it is closed
+_AGAIN = 0.05                  # s until what could not be written is tried again
+_NEVER = float('inf')
 
 
 class Link:
-    """Base of all links. A subclass overrides the hooks below, which run in the link's thread.
+    """Serves one board. Its thread does round after round, `step`: it opens the port, reads, gives
+    frames to the session, and writes what is due. It sleeps in the port alone. Commands are written
+    by the threads that give them, heartbeats by a thread of their own: see `Writer`.
 
     Args:
-        name: of the board, in logs, `SerialMsg` and diagnostics.
         port: the link alone opens and closes it.
         frame_timeout: s without a byte after which an incomplete frame is given up.
         clock: returns the stamp of each read; it is used for nothing else.
@@ -44,247 +41,224 @@ class Link:
         board_time: whether a frame with the board's time has the stamp of its measurement.
     """
 
-    STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
-    # True: the link knows by itself which bytes are new after a stall. Else a network port, where
-    # any number of old ones may wait, is then opened again.
-    HAS_FENCES = False
-    # True: bytes are read until no more wait before `tick` is called; see `PortState`.
-    DRAINS = False
-    PRINT_TO = 'another port'      # what a sketch should print to
-
-    def __init__(self, name: str, port: Port, decoder: Decoder, frame_timeout: float = 0.05,
+    def __init__(self, port: Port, session: Session, frame_timeout: float = 0.05,
                  clock: Callable[[], Any] = time.time,
-                 logger: Optional[logging.Logger] = None,
                  earlier: Callable[[Any, float], Any] = operator.sub,
                  board_time: bool = True, now: Callable[[], float] = pace.clock) -> None:
-        self.name = name
-        self.port = port
-        self.decoder = decoder
-        self.now = now
-        self.log = SparingLog(name, logger or logging.getLogger(__name__), clock=now)
-        self.tap: Optional[Tap] = None     # called with every frame in and out; None: no listener
-        self.frames_received = 0           # valid ones
-        self.frames_sent = 0
-        self.last_frame_at: Optional[float] = None   # monotonic
-        self.is_stopped = False            # by ~stop: whatever moves is refused
-        self.announcement = BoardAnnouncement(self.log)
-        self.presence = Presence(self.log, self.PRINT_TO)
-        self.stamps = Stamps(port, earlier, self.log, board_time)
-        takes_rows: Any = decoder      # that of a board with settings
-        self.board_settings = BoardSettings(
-            self.log, lambda kind: takes_rows.add_message(kind), lambda: self.wake(), now)
-        self.connection = Connection(self, frame_timeout, clock)
-        self.lending = Lending(port, self.connection.wake, self.connection.may_be_from_a_stall, now)
+        self.port, self.session, self.now = port, session, now
+        self.traffic = Traffic(session.NAME, session.log, session.decoder.errors)
+        self.reopening = Reopening(port.url, session.log)
+        self.writer = Writer(port, session, self.traffic, self.reopening, clock, now)
+        self.lending = Lending(port, session, self.writer, now)
+        self.receiver = Receiver(session, self.traffic,
+                                 FrameTimer(session.decoder, frame_timeout, port.baud),
+                                 Stamps(port, earlier, session.log, board_time))
+        self._reporter = Reporter(port, session, self.traffic, self.lending, self.reopening,
+                                  self.receiver)
         self._clock = clock
-        self._reported_errors = 0
+        self._due = 0.0                 # the next round, at the latest
+        self._look_at = 0.0             # when to ask the session what is due
+        self._settings_at = 0.0         # when to look at the settings of a tty
+        self._publishes_at = 0.0        # what is received before is old
+        self._thread = Loop(f'{session.NAME} link', self.step)
+        session.wake = self.wake
 
-    # -- hooks ------------------------------------------------------------------------
+    @property
+    def name(self) -> str:
+        """Of the board, in logs, `SerialMsg` and diagnostics."""
+        return self.session.NAME
 
-    def opened(self, now: float) -> None:
-        """The port was opened."""
+    @property
+    def log(self) -> SparingLog:
+        """Of this link."""
+        return self.session.log
 
-    def closed(self, now: float) -> None:
-        """The port was closed."""
-
-    def received(self, frame: Frame, now: float) -> None:
-        """A valid frame was received."""
-
-    def damaged(self, frame: Frame, now: float) -> None:
-        """An invalid frame or noise was received; it is already counted and logged."""
-
-    def stalled(self, seconds: float, now: float) -> None:
-        """The thread stalled for `seconds`, more than `STALL`. What is received is dropped, and not
-        passed to `received`, until `AFTER_STALL` s after the stall."""
-
-    def altered(self, now: float) -> None:
-        """Another program had changed the tty's settings, which are restored now; bytes may have
-        changed on the way, in both directions."""
-        self.stalled(0.0, now)
-
-    def tick(self, now: float) -> Optional[float]:
-        """Do what is due; return the time of the next call at the latest, or None. PortError has
-        the port closed and opened again.
-
-        Called then, after `wake`, when no bytes are received, and every 0.1 s at the latest.
-        """
-        return None
-
-    def idle(self, now: float) -> Optional[float]:
-        """Like `tick`, while the port is closed."""
-        return None
-
-    def shown(self, frame: Frame) -> Frame:
-        """Return what `tap` gets for a received frame; called before `received`."""
-        return frame
-
-    def talks(self, now: float) -> Optional[bool]:
-        """Whether the board talks, None: unknown; changes are logged. Silence is not logged while
-        the board may still be starting up."""
-        return self.last_frame_at is not None and now - self.last_frame_at <= SILENCE
-
-    def silence(self) -> str:
-        """The log line for a silent board."""
-        return ('the board is silent; check its power, its wiring and the baud rate '
-                f'({self.port.baud})')
-
-    # -- for callers ------------------------------------------------------------------
+    # -- for any thread -----------------------------------------------------------------
 
     def loops(self) -> List[Callable[[], float]]:
         """What the link's threads call again and again; each returns when it is due next."""
-        return [self.connection.step]
+        return [self.step, self.writer.beat] if self.session.BEATS else [self.step]
 
     def start(self) -> None:
         """Start all threads of the link; none is started later."""
-        self.connection.start()
+        self._thread.start()
+        if self.session.BEATS:
+            beat = Loop(f'{self.name} heartbeat', self.writer.beat,
+                        lambda due: time.sleep(max(due - self.now(), 0.0)))
+            beat.start()
+            self.session.log.info('priority', prefer(beat))
 
     def stop(self) -> None:
-        """Make the link's threads end; returns at once."""
-        self.connection.stop()
+        """Stop what moves, and send nothing after it; have the threads end."""
+        with self.session.lock:
+            if self.port.is_open:
+                self.writer.stop('the bridge is stopping')
+            self.writer.has_ended = True
+        self.port.wake()
 
     def join(self, timeout: float = 1.0) -> None:
         """Wait after `stop` for the port to be closed, for at most `timeout` s."""
-        self.connection.join(timeout)
+        if self._thread.is_alive():
+            self._thread.join(timeout)
 
     def wake(self) -> None:
-        """Make the thread call `tick` soon, whatever is received; from any thread."""
-        self.connection.wake()
-
-    def send(self, frame: bytes, type_: int, number: int, data: bytes, message: Any) -> None:
-        """Write a frame, count it and pass it to `tap`; PortError, PortBusy: it is not written."""
-        self.port.write(frame)
-        self.written(frame, type_, number, data, message)
-
-    def written(self, frame: bytes, type_: int, number: int, data: bytes, message: Any) -> None:
-        """Count a frame that the port has taken, and pass it to `tap`."""
-        self.frames_sent += 1
-        tap = self.tap      # another thread may set it to None meanwhile
-        if tap:
-            # Guarded: an error here would look as if the frame had not been sent.
-            self.connection.guarded(lambda tap: tap(self.name, TX, Frame(
-                frame, type_, number, data, message, self._clock())), tap)
-
-    def check_silence(self, now: float, limit: float) -> Optional[float]:
-        """For `tick`: raise PortError if a network port has been silent for `limit` s (0: never).
-
-        That drops unsent bytes, which may wait unseen in the network or in the peer's kernel.
-        Return when to check again, or None.
-        """
-        if not limit or not self.port.is_network:
-            return None
-        due = self.connection.last_byte_at + limit
-        if now >= due:
-            raise PortError(f'nothing received from the board for {limit:g} s')
-        return due
+        """Make the thread look soon for what is due, whatever is received."""
+        self._look_at = 0.0
+        self.port.wake()
 
     def stop_motion(self) -> str:
-        """Stop at once all that moves; `is_stopped` is true already. From any thread.
+        """Stop at once all that moves; the session is stopped already.
 
         Returns what is not stopped, or could not be written; '' if nothing.
         """
-        return ''
-
-    # -- diagnostics ------------------------------------------------------------------
+        with self.session.lock:
+            return self.writer.stop() if self.port.is_open else 'the port is closed'
 
     def report(self, now: float) -> Report:
         """To be called once a second: the errors since the last call are those of that second."""
-        errors = self.error_count()
-        # Fewer for a moment, while those of old bytes are taken back.
-        new_errors, self._reported_errors = max(errors - self._reported_errors, 0), errors
-        level, summary = self.condition(now)
-        if level == OK and new_errors:
-            level, summary = WARN, self.presence.printed(now) or (
-                f'{new_errors} error{"s" if new_errors > 1 else ""} in the last second')
-        name = self.condition_name(now)
-        if self.is_stopped:
-            level, summary, name = max(level, WARN), f'stopped by ~stop; {summary}', 'stopped'
-        counted = dict(self.decoder.errors)
-        values = [
-            ('port', self.port.url),
-            ('state', summary),
-            ('condition', name),
-            ('frames received', self.frames_received),
-            ('frames sent', self.frames_sent),
-            ('bytes received', self.port.bytes_received),
-            ('bytes sent', self.port.bytes_sent),
-            ('stale', self.connection.stale),
-            ('checksum errors', counted.pop(CHECKSUM, 0)),
-            ('framing errors', counted.pop(FRAMING)),
-            ('reconnects', self.connection.reconnects),
-            ('last frame age [s]', f'{now - self.last_frame_at:.3f}'
-             if self.last_frame_at is not None else 'never'),
-            *sorted((cause + ' errors', count) for cause, count in counted.items()),
-            *self.extra_values(),
-            *self.stamps.values(),
-            *self.board_settings.values(),
-        ]
-        announcement = self.announcement
-        if announcement.rows is not None:
-            values += [('firmware', announcement.firmware),
-                       ('announced', ', '.join(announcement.rows)),
-                       ('held back', announcement.held_back)]
-        return Report(level, summary, values)
+        return self._reporter.report(now)
 
-    def condition(self, now: float) -> Tuple[int, str]:
-        """Level and summary, without regard to new errors."""
-        if self.port.is_lent:
-            return WARN, str(self.port.loan)
+    # -- rounds, in the link's thread -------------------------------------------------------
+
+    def step(self) -> float:
+        """Sleep in the port until something is due or received, and do it; return when the next
+        round is due."""
+        try:
+            if self.writer.has_ended:
+                self._close()
+                self._due = _NEVER
+            elif self.port.is_open:
+                self._due = self._open_round()
+            else:
+                self._due = self._closed_round()
+        except PortError as error:
+            self._lost(str(error))
+        except Exception as error:  # pylint: disable=broad-except
+            self.session.log.error('fault', traceback.format_exc())
+            self._lost(f'fault in the bridge: {error!r}')
+        return self._due
+
+    def _closed_round(self) -> float:
+        self.port.pause(self._due - self.now())
+        now = self.now()
+        if self.writer.fresh.awake('link', now, self._clock()):
+            self._publishes_at = now + FRESH
+        with self.session.lock:
+            due = self.session.idle(now)
+        if now >= self.reopening.at and not self.lending.runs and not self.writer.has_ended:
+            try:
+                self._open()
+                return self.now()
+            except Exception as error:  # pylint: disable=broad-except
+                self.port.close()
+                self.reopening.failed(str(error) if isinstance(error, PortError)
+                                      else f'fault while opening it: {error!r}', self.now())
+        opens_at = self.lending.loan.until if self.lending.runs else self.reopening.at
+        return min(opens_at, now + _LONGEST_SLEEP, _NEVER if due is None else due)
+
+    def _open(self) -> None:
+        lending = self.lending
+        if lending.loan.by:
+            if self.port.is_used():
+                raise PortError(f'it was {lending.loan}, and another program still has it open')
+            lending.loan = lending.loan._replace(by='')
+        self.writer.fresh.rest('link')
+        try:
+            self.port.open()
+        finally:
+            now = self.now()
+            self.writer.fresh.awake('link', now)
+        self.reopening.opened(now)
+        self.receiver.reset()
+        lending.closed.clear()
+        self._look_at, self._settings_at = now, now + _LOOK_AT_SETTINGS
+        with self.session.lock:
+            self.session.presence.opened(now)
+            self.writer.opened(now)
+            self.session.begin(now, is_opening=True)
+
+    def _lost(self, why: str) -> None:
+        """The port is gone, or given up."""
+        now = self.now()
+        self.reopening.lost(why, now)
+        if self.lending.runs:
+            self.port.drain(_LEAVES)
+        self._close()
+        self._due = now
+
+    def _close(self) -> None:
         if not self.port.is_open:
-            return ERROR, f'closed: {self.connection.trouble}'
-        if self.last_frame_at is None or now - self.last_frame_at > SILENCE:
-            return WARN, f'open, {self.presence.meaning(now) or "the board is silent"}'
-        return OK, 'open'
-
-    def condition_name(self, now: float) -> str:
-        """The condition in one word that does not change, for programs."""
-        if self.port.is_lent:
-            return 'lent'
-        if not self.port.is_open:
-            return 'closed'
-        return self.condition_of_board(now)
-
-    def condition_of_board(self, now: float) -> str:
-        """Likewise, while the port is open."""
-        return 'ok' if self.talks(now) else 'silent'
-
-    def error_count(self) -> int:
-        """Errors of all causes so far."""
-        return sum(self.decoder.errors.values())
-
-    def extra_values(self) -> List[Tuple[str, Any]]:
-        """Further keys and values of this kind of link."""
-        return []
-
-    # -- for the connection -----------------------------------------------------------
-
-    def check(self, now: float) -> None:
-        """Called every 0.1 s while the port is open: check what rarely changes."""
-        opened_at = self.connection.opened_at
-        # The board may still announce a type that is unknown now.
-        self.decoder.counts_unknown = \
-            self.announcement.on_text is None or now >= opened_at + _ANNOUNCING
-        if now < self.presence.due:
             return
-        talks = self.talks(now)
-        if talks or self.presence.understood_at >= opened_at or now >= opened_at + STARTUP_TIME:
-            self.presence.log(talks, self.silence(), self.now())
+        if self.writer.has_ended:
+            self.port.drain(_LEAVES)
+        with self.session.lock:
+            self.port.close()
+            self.session.announcement.reset()      # before any thread can write again
+            self.session.end(self.reopening.trouble, self.now())
+        self.lending.closed.set()
 
-    def deliver(self, frame: Frame, now: float) -> None:
-        """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
-        tap, read = self.tap, frame.stamp
-        shown = self.shown(stamped(frame, read.stamp)) if tap else frame
-        frame = stamped(frame, self.stamps.of(frame, read))
-        printed = '' if frame.message is not None else self.presence.not_understood(frame, now)
-        if printed:
-            self.log.warn('text', printed)
-        elif frame.cause and (frame.cause != UNKNOWN or self.decoder.counts_unknown):
-            self.log.warn(frame.cause, f'{frame.cause}: {frame.error}: {frame.raw[:24].hex()}')
-        if frame.cause:
-            self.damaged(frame, now)
-        else:
-            self.frames_received += 1
-            self.last_frame_at = now
-            if frame.message is not None:     # another board's bytes may be an unknown frame
-                self.presence.understood(now)
-            self.received(frame, now)
-        if tap:
-            self.connection.guarded(tap, self.name, RX, shown)
+    def _open_round(self) -> float:
+        session, receiver = self.session, self.receiver
+        data = self.port.read(self._due - self.now())
+        # The clock after that: what it takes to make its stamp varies, and is not in `now`.
+        now = self.now()
+        stamp = self._clock()
+        stall = self.writer.fresh.awake('link', now, stamp)
+        if stall:
+            with session.lock:
+                self._stalled(stall, now)
+        if self.writer.drops_input:
+            self.writer.drops_input = False
+            receiver.reset()
+        has_come = receiver.take(data, stamp, now, 
+                                is_old=now < self._publishes_at and not session.FENCED)
+        if data:
+            self.writer.is_silent = False
+        if not has_come or now >= self._look_at:
+            self._look_at = self._look(now, not has_come)
+        if session.FENCED and has_come:
+            return now
+        frame_due = receiver.due()
+        return self._look_at if frame_due is None else min(self._look_at, frame_due)
+
+    def _stalled(self, seconds: float, now: float) -> None:
+        """The thread did not run for so long: what waited is old, and would get a new stamp."""
+        fenced = self.session.FENCED
+        if not fenced:
+            self._publishes_at = now + FRESH
+        self.writer.begin_anew(f'the bridge stalled for {seconds:.3g} s',
+                               keeps_port=fenced and self.port.is_network)
+
+    def _look(self, now: float, is_drained: bool) -> float:
+        """Do what is due, and look at what rarely changes; return when to do that again."""
+        session = self.session
+        with session.lock:
+            self.writer.check_output(now)
+            self._check_port(now)
+            due: Optional[float] = now + _AGAIN
+            try:
+                packets, due = session.due(now, is_drained)
+                self.writer.transmit(packets, now)
+            except Doubt as doubt:
+                self.writer.begin_anew(str(doubt))
+            except Refused:
+                pass        # the session was told
+        session.presence.check(
+            session.talks(now), f'{session.silence()}; check its power, its wiring and the baud '
+            f'rate ({self.port.baud})', now)
+        return now + _LONGEST_SLEEP if due is None else min(due, now + _LONGEST_SLEEP)
+
+    def _check_port(self, now: float) -> None:
+        """Begin anew where the port may hold something back, or change it."""
+        presence, limit = self.session.presence, self.session.longest_silence()
+        if self.port.hides and presence.frame_at is not None and not self.writer.is_silent \
+                and 0 < limit <= now - presence.byte_at:
+            self.writer.is_silent = True
+            self.writer.begin_anew(f'nothing received from the board for {limit:g} s')
+        if now >= self._settings_at:
+            self._settings_at = now + _LOOK_AT_SETTINGS
+            changed = self.port.changed_settings()
+            if changed:
+                self.writer.begin_anew(
+                    f'{self.port.url}: another program changed the settings of this port '
+                    f'({changed}); keep other programs (stty, a serial monitor) off it')

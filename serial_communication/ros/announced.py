@@ -82,7 +82,7 @@ class AnnouncedRows:
         def use_latest() -> None:
             nonlocal rows
             before = set(names)
-            rows = for_xml_rpc(self.update(self.link.announcement.assembly.text or b'', names))
+            rows = for_xml_rpc(self.update(self.link.session.announcement.assembly.text or b'', names))
             set_parameter()
             if before - set(names):
                 for board in boards:
@@ -90,7 +90,7 @@ class AnnouncedRows:
                         worker.submit(board._use_latest)
 
         self._use_latest = use_latest
-        self.link.announcement.on_text = lambda text: worker.submit(use_latest)
+        self.link.session.announcement.on_text = lambda text: worker.submit(use_latest)
 
     def update(self, text: bytes, names: Dict[str, str]) -> Dict[str, Any]:
         """Make and take down what changed; return the rows that are in use now, by name.
@@ -107,12 +107,12 @@ class AnnouncedRows:
         for name in list(self._made):
             if name not in rows or meaning(rows[name].custom) != meaning(self._made[name].custom):
                 self._take_down(name, names)
-        self.link.announcement.use(text, announcement.firmware, list(self._made))
+        self.link.session.announcement.use(text, announcement.firmware, list(self._made))
         for name, row in rows.items():
             if name not in self._made:
                 self._make(row, announcement.rows[name], names)
         in_use = [name for name in rows if name in self._made]
-        self.link.announcement.use(text, announcement.firmware, in_use)
+        self.link.session.announcement.use(text, announcement.firmware, in_use)
         firmware = f' (firmware {announcement.firmware})' if announcement.firmware else ''
         if self._allowance.take(time.monotonic()):
             self.link.log.always_info(f'announces {", ".join(in_use) or "nothing"}{firmware}')

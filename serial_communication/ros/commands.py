@@ -16,11 +16,6 @@ from ..link.sparing_log import SparingLog
 _MOST_PUBLISHERS = 1000     # names to remember; each call of rostopic has a new one
 
 
-def header_of(message: Any) -> Dict[str, str]:
-    """Return the header of the connection on which a message came: one object for each."""
-    return getattr(message, '_connection_header', {})
-
-
 class NewestConnections:
     """Finds the messages of connections whose publisher has made a newer one."""
 
@@ -105,12 +100,11 @@ class CommandTopic:
             self._log.warn(f'{self._name} refused', f'{self._name} refused: {error}')
 
     def _refuse_if_old(self, message: Any, connections: NewestConnections) -> None:
-        connection = header_of(message)
+        connection = message._connection_header     # one object for each connection
         sender = connection.get('callerid', '')
         if connections.is_replaced(connection):
-            raise Refused(f'{self._label(message)} refused: it was received on an old connection '
-                          f'of {sender}; only the newest connection to {self._topic} is used',
-                          'old connection')
+            raise self._refused(message, f'it was received on an old connection of {sender}; only '
+                                f'the newest connection to {self._topic} is used', 'old connection')
         known = sender in self._latest
         is_first = self._latest.pop(sender, None) is not connection
         self._latest[sender] = connection
@@ -121,22 +115,21 @@ class CommandTopic:
         if is_first and connection.get('latching') == '1' \
                 and (known or self._older_publishers is None
                      or sender in self._older_publishers):
-            raise Refused(
-                f'{self._label(message)} refused: {sender} latches {self._topic} and '
+            raise self._refused(
+                message, f'{sender} latches {self._topic} and '
                 f'{"has connected again" if known else "is older than the subscription"}, so the '
                 'message may be old; publish it again with "rostopic pub -1", or at a rate with '
                 '"rostopic pub -r 10"', 'latched')
-        self._refuse_by_stamp(message, sender)
-
-    def _refuse_by_stamp(self, message: Any, sender: str) -> None:
         stamp = message.header.stamp.to_sec() if self._age_limit else 0.0
         age = rospy.get_time() - stamp
         if stamp and abs(age) > self._age_limit:
-            raise Refused(
-                f'{self._label(message)} refused: its stamp is {abs(age):.2f} s '
-                f'{"old" if age > 0 else "in the future"}, command_age allows '
-                f'{self._age_limit:g} s; is the network from {sender} slow, or its clock wrong? '
-                'The clocks of all hosts must agree (chrony)', 'stamp')
+            raise self._refused(
+                message, f'its stamp is {abs(age):.2f} s {"old" if age > 0 else "in the future"}, '
+                f'command_age allows {self._age_limit:g} s; is the network from {sender} slow, or '
+                'its clock wrong? The clocks of all hosts must agree (chrony)', 'stamp')
+
+    def _refused(self, message: Any, why: str, cause: str) -> Refused:
+        return Refused(f'{self._label(message)} refused: {why}', cause)
 
 
 def _publishers(topic: str) -> Optional[Set[str]]:

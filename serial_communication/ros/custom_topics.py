@@ -196,7 +196,7 @@ class MessageTopics:
 
     def announced(self, link: Any, age_limit: float = 0.0) -> AnnouncedRows:
         """Return the rows that the link's board announces."""
-        settings = link.board_settings
+        settings = link.session.board_settings
         return AnnouncedRows(
             self._board, link, [*(row.custom for row in self._rows), *settings.rows],
             lambda custom: custom if isinstance(custom, Setting) else resolve(custom, self._prefix),
@@ -231,9 +231,9 @@ class MessageTopics:
             return self._take_command(row, link, age_limit)
 
         def take_down() -> None:
-            link.decoder.remove_message(row.kind)
+            link.session.decoder.remove_message(row.kind)
             self._topics.pop(row.kind).close()
 
         self._topics[row.kind] = self._topic(row)
-        link.decoder.add_message(row.kind)
+        link.session.decoder.add_message(row.kind)
         return take_down

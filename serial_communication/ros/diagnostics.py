@@ -9,7 +9,6 @@ from diagnostic_updater import Updater
 
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
-from ..transport.pace import Every
 
 _PERIOD = 1.0   # s
 
@@ -28,28 +27,19 @@ class Diagnostics:
             updater.setHardwareID(link.port.url)
             updater.add(link.name + ' link', _task(link))
             self._updaters.append(updater)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='diagnostics', daemon=True)
 
     def start(self) -> None:
         """Start publishing."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop publishing."""
-        self._stopping.set()
+        threading.Thread(target=self._run, name='diagnostics', daemon=True).start()
 
     def _run(self) -> None:
-        pace = Every(_PERIOD, time.monotonic() - _PERIOD)       # the first one at once
-        while not self._stopping.wait(max(0.0, pace.due - time.monotonic())):
-            if not pace.passed(time.monotonic()):
-                continue
+        while True:
             for updater in self._updaters:
                 try:
-                    # update() would count in ROS time, which may stop.
-                    updater.force_update()
+                    updater.force_update()      # update() would count in ROS time, which may stop
                 except Exception as error:  # pylint: disable=broad-except
                     log_fault(self._log, error)
+            time.sleep(_PERIOD)
 
 
 def log_fault(log: SparingLog, error: Exception) -> None:

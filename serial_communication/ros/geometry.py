@@ -13,14 +13,11 @@ from .publishing import wanted
 def transform(parent: str, child: str, translation: Sequence[float],
               rotation: Sequence[float], stamp: rospy.Time) -> TransformStamped:
     """Return a transform message; `translation` in m, `rotation` a quaternion x, y, z, w."""
-    message = TransformStamped()
-    message.header.stamp = stamp
-    message.header.frame_id = parent
-    message.child_frame_id = child
-    (message.transform.translation.x, message.transform.translation.y,
-     message.transform.translation.z) = translation
-    (message.transform.rotation.x, message.transform.rotation.y,
-     message.transform.rotation.z, message.transform.rotation.w) = rotation
+    message = TransformStamped(child_frame_id=child)
+    message.header.stamp, message.header.frame_id = stamp, parent
+    at, turn = message.transform.translation, message.transform.rotation
+    at.x, at.y, at.z = translation
+    turn.x, turn.y, turn.z, turn.w = rotation
     return message
 
 

@@ -9,7 +9,7 @@ import sys
 import time
 from contextlib import suppress
 from functools import partial
-from typing import Any, Dict, List
+from typing import Any, Callable, Dict, Tuple
 
 import rospy
 from rospy.impl import tcpros_base
@@ -19,6 +19,7 @@ from serial_communication.srv import Release, ReleaseResponse
 
 from ..boards import BOARDS
 from ..link.link import Link
+from ..link.outcome import Refused
 from ..link.sparing_log import SparingLog
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
@@ -28,8 +29,7 @@ from .diagnostics import Diagnostics, log_fault
 from .geometry import publish_mounts
 from .interface import LinkOptions
 from .latest_worker import LatestWorker
-from .master import (MasterWatch, full_name, restart, running_node, started_by_roslaunch,
-                     wait_for_master)
+from .master import full_name, restart, running_node, started_by_roslaunch, watch_master
 from .parameter import ParameterError
 from .settings import PARAMETER as SETTINGS
 from .settings import PAUSE as SETTINGS_PAUSE
@@ -42,6 +42,7 @@ _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartb
 _NAME = 'serial_communication'    # the default
 _PRIORITY = 1               # real-time priority of all threads, if the system allows it
 _SHUTDOWN = 1.0             # s for all links to end
+_CLOSES = 1.5               # s for a link to close a port that is lent
 _ANSWERED = 0.1             # s for the answers of calls that have ended to leave
 _ANNOUNCEMENT_PAUSE = 1.0   # s: a board may change its announcement all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
@@ -57,37 +58,31 @@ def main() -> None:
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     name = full_name(_NAME)
-    if name != f'/{_NAME}':     # one of several robots: its lines have its name
-        os.environ.setdefault('ROSCONSOLE_FORMAT', '[${severity}] [${time}] ${node}: ${message}')
     for number in signal.SIGINT, signal.SIGTERM:    # until rospy has handlers
         signal.signal(number, signal.default_int_handler)
-    end_later = starting.last_resort(_LAST_RESORT)
-    rospy.on_shutdown(partial(end_later, 0))    # even if an import or the master hangs
+    rospy.on_shutdown(partial(starting.end_within, _LAST_RESORT, 0))
     status = 1
     try:
         status = _run(name)
     except KeyboardInterrupt:
         status = 0
     finally:
-        end_later(status)
+        starting.end_within(_LAST_RESORT, status)
         if not logs.finish():
             os._exit(status)
     sys.exit(status)
 
 
 def _run(name: str) -> int:
-    wait_for_master(say=starting.say)
     address = running_node(name)
     if address:
-        starting.say(f'{name} is already running ({address}); end that node first (rosnode kill '
-                     f'{name}), or give this one another name (name:=NAME for the launch file, '
-                     '__name:=NAME for the node)')
+        print(f'{name} is already running ({address}); end that node first (rosnode kill {name}), '
+              'or give this one another name (name:=NAME for the launch file, __name:=NAME for the '
+              'node)', file=sys.stderr)
         if started_by_roslaunch():
             time.sleep(_AGAIN)
         return starting.NAME_TAKEN
-    watch = MasterWatch()
     try:
-        parameters.check_command_line(sys.argv, name)
         rospy.init_node(_NAME)
         logs.queue_lines()
         if not direct.install():
@@ -95,16 +90,13 @@ def _run(name: str) -> int:
                           'looked at: each subscriber has a thread, which costs processor time')
         if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:    # nohup ignores it
             signal.signal(signal.SIGHUP, lambda *_: rospy.signal_shutdown('the terminal is gone'))
-        _start(watch)
+        _start()
     except (rospy.ROSInitException, rospy.ROSInterruptException):
         if not rospy.core.is_shutdown_requested():
             raise
         return 0
     except ParameterError as error:
-        if rospy.core.is_initialized():
-            rospy.logfatal(error)
-        else:
-            starting.say(str(error))
+        rospy.logfatal(error)
         while started_by_roslaunch() and not rospy.is_shutdown():
             time.sleep(0.1)     # roslaunch would start it again, with the same mistake
         return 1
@@ -112,10 +104,10 @@ def _run(name: str) -> int:
     return 0
 
 
-def _start(watch: MasterWatch) -> None:
+def _start() -> None:
     given = _given()
     values, warnings = parameters.check(given, rospy.get_name())
-    forget_announced(given, [board.NAME for board in parameters.announcing(values['boards'])])
+    forget_announced(given, [board.NAME for board in values['boards']])
     for warning in warnings:
         rospy.logwarn(warning)
     bridge = Bridge(values, given, parameters.resolved_names(values, given))
@@ -126,30 +118,17 @@ def _start(watch: MasterWatch) -> None:
     # slow computer, and holds Python's lock meanwhile, so no heartbeat is sent.
     gc.freeze()
     bridge.start()
-    watch.start(bridge.start_again)
+    watch_master(bridge.start_again)
 
 
 def _given() -> Any:
     """Return the node's private parameters, as they are given."""
+    before = os.environ.pop(_PARAMETERS, '')
+    if before:      # a new master does not have them
+        rospy.set_param('~', json.loads(before))
     for name in set(starting.empty_ports()) & set(BOARDS):
         rospy.set_param(f'~{name}/port', '')
-    given = rospy.get_param('~', {})
-    before = json.loads(os.environ.pop(_PARAMETERS, '{}'))
-    if before and isinstance(given, dict):
-        given = _merged(before, given)
-        if SETTINGS in before:      # those of the command line may be older
-            given[SETTINGS] = before[SETTINGS]
-        rospy.set_param('~', given)
-    return given
-
-
-def _merged(ours: Dict[str, Any], theirs: Dict[str, Any]) -> Dict[str, Any]:
-    """Return our parameters; a value that the new master already has takes precedence."""
-    result = {**ours, **theirs}
-    for key, value in theirs.items():
-        if isinstance(value, dict) and isinstance(ours.get(key), dict):
-            result[key] = _merged(ours[key], value)
-    return result
+    return rospy.get_param('~', {})
 
 
 def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
@@ -162,9 +141,24 @@ def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
 
 def _offer_lending(link: Link) -> None:
     rospy.Service(f'~{link.name}/release', Release, lambda request: ReleaseResponse(
-        *link.lending.lend(request.by, request.seconds)))
+        *_answer(partial(_lend, link, request))))
     rospy.Service(f'~{link.name}/reset', Trigger, lambda _: TriggerResponse(
-        *link.lending.reset()))
+        *_answer(link.lending.reset)))
+
+
+def _lend(link: Link, request: Any) -> str:
+    text = link.lending.lend(request.by, request.seconds)
+    if request.seconds and not link.lending.closed.wait(_CLOSES):
+        raise Refused('the link did not close its port in time', 'late')
+    return text
+
+
+def _answer(ask: Callable[[], str]) -> Tuple[bool, str]:
+    """Whether what was asked for is done, and what to say."""
+    try:
+        return True, ask()
+    except Refused as refused:
+        return False, str(refused)
 
 
 def _accept_all_calls() -> None:
@@ -184,28 +178,26 @@ class Bridge:
     """
 
     def __init__(self, p: dict, given: dict, names: Dict[str, str]) -> None:
-        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER, _earlier)
-        boards = [(board, values) for board, values in (
-            (board, parameters.of_board(board, p)) for board in p['boards']) if values['port']]
         self._given = given
         self._longest_call = p['bus/motion_timeout']
-        self._interfaces, self._links = [], []
+        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER, _earlier)
+        boards = [(board, parameters.of_board(board, p)) for board in p['boards']]
+        off = [board.NAME for board, values in boards if not values['port']]
+        if off:
+            _LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
+                        f'off, because no port is set: {", ".join(off)} (bridge.launch: if a port '
+                        'is given as an argument, links without a port argument are off)')
+        boards = [(board, values) for board, values in boards if values['port']]
+        self._interfaces = []
         for board, values in boards:
-            interface = board(values, link_options)
-            interface.link.lending.line = values['reset_line']
-            self._interfaces.append(interface)
-            self._links.append(interface.link)
-        if not self._links:
-            ports = ', '.join(f'{board.NAME}/port' for board in p['boards'])
-            rospy.logwarn(f'no port is set ({ports}): the bridge has nothing to do')
-        off = [board.NAME for board in p['boards'] if not parameters.of_board(board, p)['port']]
-        if self._links and off:
-            rospy.loginfo(f'off, because no port is set: {", ".join(off)} (bridge.launch: if a '
-                          'port is given as an argument, links without a port argument are off)')
+            self._interfaces.append(board(values, link_options))
+            self._interfaces[-1].link.lending.reset_line = values['reset_line']
+        self._links = sorted((interface.link for interface in self._interfaces),
+                             key=lambda link: not link.session.STOPS_FIRST)
         self._mounts = publish_mounts(p['base_frame_id'], {
             values[f'{name}_frame_id']: values[f'{name}_mount']
             for board, values in boards for name in board.MOUNTS})
-        self._stop = Stop(self._stop_order(), bool(os.environ.pop(_STOPPED, '')))
+        self._stop = Stop(self._links, bool(os.environ.pop(_STOPPED, '')))
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
         log = SparingLog('announcements', _LOGGER)
@@ -233,17 +225,13 @@ class Bridge:
         self._settings_worker.start()
         self._diagnostics.start()
 
-    def _stop_order(self) -> List[Link]:
-        return sorted(self._links, key=lambda link: not link.STOPS_FIRST)
-
     def stop(self) -> None:
         """Send SPEED 0 first, then stop everything; takes 1 s at most, even if a port hangs."""
-        for link in self._stop_order():
+        for link in self._links:
             link.stop()
         deadline = time.monotonic() + _SHUTDOWN
         for link in self._links:
             link.join(max(0.0, deadline - time.monotonic()))
-        self._diagnostics.stop()
         # After its socket is closed, rospy's server thread runs in a busy loop. With real-time
         # priority it would keep the processor from the threads that it waits for. Also, a process
         # that replaces this one (execve) would inherit the priority.
@@ -252,13 +240,11 @@ class Bridge:
     def start_again(self) -> None:
         """At a new master: let what is under way end, stop everything, and start the node again."""
         deadline = time.monotonic() + self._longest_call
-        while any(link.lending.under_way() for link in self._links) \
+        while any(link.session.under_way() for link in self._links) \
                 and time.monotonic() < deadline:
             time.sleep(0.05)
         self.stop()
         time.sleep(_ANSWERED)
-        settings = wanted_values(self._links)
-        given = {**self._given, SETTINGS: {**self._given.get(SETTINGS, {}), **settings}} \
-            if settings else self._given
-        restart({_PARAMETERS: json.dumps(given, default=str),
+        wanted = {**self._given.get(SETTINGS, {}), **wanted_values(self._links)}
+        restart({_PARAMETERS: json.dumps({**self._given, SETTINGS: wanted}, default=str),
                  _STOPPED: 'yes' if self._stop.holds else ''})

@@ -1,10 +1,13 @@
 """A parameter's type and range, and the parameters that several boards share."""
 from math import inf, isfinite
-from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, NamedTuple, Tuple
 
 from ..boards.description import BAUD_RANGE, Description
 from ..framing.layout import readable
 from ..transport.urls import check_url
+
+_KINDS = {bool: 'true or false', str: 'text', int: 'a whole number', float: 'a number',
+          dict: 'a group'}
 
 
 class ParameterError(ValueError):
@@ -26,24 +29,16 @@ class Parameter(NamedTuple):
     high: float = inf
     choices: Tuple = ()
     unit: str = ''
-    parse: Optional[Callable[[Any], Any]] = None    # returns the value; ValueError if it is wrong
+    parse: Callable[[Any], Any] = lambda value: value    # returns it; ValueError if it is wrong
 
     def allowed(self) -> str:
         """Return the allowed values as text, such as ``may be a number from 0 to 1 (s)``."""
         if self.choices:
             return 'may be ' + ' or '.join(repr(choice) for choice in self.choices)
-        if isinstance(self.default, list):
-            kind = f'a list of {len(self.default)} numbers' if self.default else 'a list'
-        else:
-            kind = {bool: 'true or false', str: 'text', int: 'a whole number',
-                    float: 'a number', dict: 'a group'}[type(self.default)]
-        bounds = ''
-        if isfinite(self.low) and isfinite(self.high):
-            bounds = f' from {self.low:g} to {self.high:.10g}'
-        elif isfinite(self.low):
-            bounds = f' of at least {self.low:g}'
-        unit = f' ({self.unit})' if self.unit else ''
-        return f'may be {kind}{bounds}{unit}'
+        kind = _KINDS.get(type(self.default)) or (
+            f'a list of {len(self.default)} numbers' if self.default else 'a list')
+        bounds = f' from {self.low:g} to {self.high:.10g}' if isfinite(self.low) else ''
+        return f'may be {kind}{bounds}' + (f' ({self.unit})' if self.unit else '')
 
     def check(self, value: Any) -> Any:
         """Return the value as the parameter's type.
@@ -51,14 +46,12 @@ class Parameter(NamedTuple):
         Raises:
             ValueError: it has another type, or is out of range.
         """
-        if self.parse and self.default in ({}, []):
-            return self.parse(value)
         wanted = type(self.default)
         if wanted is float and type(value) is int:
             value = float(value)
-        if type(value) is not wanted:
-            raise ValueError
-        if self.choices and value not in self.choices:
+        if self.default in ({}, []):
+            return self.parse(value)
+        if type(value) is not wanted or self.choices and value not in self.choices:
             raise ValueError
         if wanted in (int, float) and not self.low <= value <= self.high:
             raise ValueError    # NaN fails this as well
@@ -67,7 +60,7 @@ class Parameter(NamedTuple):
                     type(item) in (int, float) and isfinite(item) for item in value):
                 raise ValueError
             value = [float(item) for item in value]
-        return self.parse(value) if self.parse else value
+        return self.parse(value)
 
 
 Parameters = Dict[str, Parameter]     # by name; a board's without the prefix ``BOARD/``
@@ -90,6 +83,11 @@ def not_empty(text: str) -> str:
     return text
 
 
+def baud(board: Description) -> Parameter:
+    """Return the parameter `baud` of a board: its default is the description's."""
+    return Parameter(board.baud, *BAUD_RANGE, unit='baud')
+
+
 def _port(url: str) -> str:
     if url:
         check_url(url)
@@ -97,13 +95,5 @@ def _port(url: str) -> str:
 
 
 PORT = Parameter('', parse=_port)     # empty: the link is off
-BAUD = Parameter(115200, *BAUD_RANGE, unit='baud')     # of a board whose description has no rate
-
-
-def baud(board: Description) -> Parameter:
-    """Return the parameter `baud` of a board: its default is the description's."""
-    return Parameter(board.baud, *BAUD_RANGE, unit='baud')
-
-
 RESET_LINE = Parameter('', choices=('', 'dtr', 'rts'))    # empty: no line resets the board
 MOUNT = Parameter([0.0] * 6, unit='x y z in m, roll pitch yaw in rad, in base_frame_id')

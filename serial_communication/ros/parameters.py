@@ -3,7 +3,6 @@
 config/bridge.yaml documents them for users; a test compares the two.
 """
 import importlib
-import xmlrpc.client
 from typing import Any, Dict, List, Tuple, Type
 
 import rospy
@@ -66,58 +65,24 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
             be.
         Exception: whatever the import of another package's board raises.
     """
-    if not isinstance(given, dict):
-        raise _not_a_group(namespace, given)
-    given = dict(given)
-    interfaces = BUILT_IN + _of_packages(
-        _value('boards', NODE_PARAMETERS['boards'], given.pop('boards', []), namespace), namespace)
+    flat = dict(_group(namespace, given))
+    packages = _value('boards', NODE_PARAMETERS['boards'], flat.pop('boards', []), namespace)
+    interfaces = BUILT_IN + [importlib.import_module(description(name).package + '.ros').INTERFACE
+                             for name in packages]
+    for board in interfaces:
+        group = _group(f'{namespace}/{board.NAME}', flat.pop(board.NAME, {}))
+        flat.update((f'{board.NAME}/{name}', value) for name, value in group.items()
+                    if name != ANNOUNCED)       # which an earlier run has set
     parameters = table(interfaces)
-    flat = _flatten(given, {interface.NAME for interface in interfaces}, namespace)
-    for interface in announcing(interfaces):
-        flat.pop(f'{interface.NAME}/{ANNOUNCED}', None)     # set by an earlier run
     values = {name: _value(name, parameter, flat.pop(name, parameter.default), namespace)
               for name, parameter in parameters.items() if name != 'boards'}
     values['boards'] = interfaces
     for name, parameter in parameters.items():
         if parameter.parse is not_empty:
             values[name] = values['frame_prefix'] + values[name]
-    _check_together(interfaces, values, namespace)
+    _check_together(values, namespace)
     return values, [readable(f'parameter {namespace}/{name} is unknown and has no effect')
                     for name in sorted(flat)]
-
-
-def _of_packages(names: List[str], namespace: str) -> List[Type[Interface]]:
-    """Import the boards of other packages; return their interfaces."""
-    interfaces: List[Type[Interface]] = []
-    for name in names:
-        interface = importlib.import_module(description(name).package + '.ros').INTERFACE
-        if interface.NAME in {*BOARDS, *NODE_PARAMETERS, *(each.NAME for each in interfaces)}:
-            raise ParameterError(f'parameter {namespace}/boards: the board of {name!r} is named '
-                                 f'{interface.NAME}, as another board or parameter')
-        interfaces.append(interface)
-    return interfaces
-
-
-def check_command_line(arguments: List[str], namespace: str) -> None:
-    """Raise ParameterError for a parameter that rospy cannot set at the master, such as null."""
-    try:
-        given = rospy.client.load_command_line_node_params(arguments)
-    except rospy.ROSInitException as error:
-        raise ParameterError(' '.join(str(error).split())) from None
-    for name, value in given.items():
-        try:
-            xmlrpc.client.dumps((value,))
-        except Exception as error:  # pylint: disable=broad-except
-            if name in PARAMETERS:
-                _value(name, PARAMETERS[name], value, namespace)    # says what it may be
-            raise ParameterError(f'parameter {namespace}/{name} is {brief(value, 120)} '
-                                 f'({type(value).__name__}), which ROS cannot hold: {error}'
-                                 ) from None
-
-
-def announcing(interfaces: List[Type[Interface]]) -> List[Type[Interface]]:
-    """Return the boards whose parameter ANNOUNCED may have been set by the bridge."""
-    return [each for each in interfaces if ANNOUNCED not in each.PARAMETERS]
 
 
 def of_board(interface: Type[Interface], values: Dict[str, Any]) -> Dict[str, Any]:
@@ -147,6 +112,13 @@ def resolved_names(values: Dict[str, Any], given: Dict[str, Any]) -> Dict[str, s
     return names
 
 
+def _group(name: str, given: Any) -> Dict[str, Any]:
+    if not isinstance(given, dict):
+        raise ParameterError(f'parameter {name} is {brief(given, 120)}, may be a group of '
+                             'parameters')
+    return given
+
+
 def _value(name: str, parameter: Parameter, value: Any, namespace: str) -> Any:
     try:
         return parameter.check(value)
@@ -158,34 +130,17 @@ def _value(name: str, parameter: Parameter, value: Any, namespace: str) -> Any:
                              + (f': {error}' if str(error) else '')) from None
 
 
-def _check_together(interfaces: List[Type[Interface]], values: Dict[str, Any],
-                    namespace: str) -> None:
+def _check_together(values: Dict[str, Any], namespace: str) -> None:
     ports: Dict[Any, str] = {}
-    for interface in interfaces:
+    for interface in values['boards']:
         own = of_board(interface, values)
         problem = interface.problem(own)
         if problem:
             raise ParameterError(f'parameter {namespace}/{interface.NAME}/{problem}')
         key, url = f'{namespace}/{interface.NAME}/port', own['port']
-        port = identity(url) if url and isinstance(url, str) else None
+        port = identity(url) if url else None
         if port in ports:       # one of the two links would wait for it for ever
             raise ParameterError(f'parameter {key} is {url!r}, which is also the port of '
                                  f'{ports[port]}; each link needs its own port')
         if port is not None:
             ports[port] = f'{key} ({url!r})'
-
-
-def _flatten(given: Dict[str, Any], groups: Any, namespace: str) -> Dict[str, Any]:
-    flat = {}
-    for name, value in given.items():
-        if name not in groups:
-            flat[name] = value
-        elif isinstance(value, dict):
-            flat.update((f'{name}/{key}', item) for key, item in value.items())
-        else:
-            raise _not_a_group(f'{namespace}/{name}', value)
-    return flat
-
-
-def _not_a_group(name: str, value: Any) -> ParameterError:
-    return ParameterError(f'parameter {name} is {brief(value, 120)}, may be a group of parameters')

@@ -52,7 +52,10 @@ def serve(links: Iterable[Link], parameters: Dict[str, Any], worker: LatestWorke
         ParameterError: a value that its row does not allow.
     """
     for link in links:
-        settings, values = link.board_settings, parameters.get(PARAMETER, {}).get(link.name, {})
+        settings, values = link.session.board_settings, parameters.get(PARAMETER, {}).get(
+            link.name, {})
+        if settings is None:
+            continue
         for row in settings.rows:
             try:
                 row.checked(values.get(row.name, row.default))
@@ -71,8 +74,8 @@ def serve(links: Iterable[Link], parameters: Dict[str, Any], worker: LatestWorke
 
 def wanted_values(links: Iterable[Link]) -> Dict[str, Dict[str, Any]]:
     """Return the values that are wanted now, as `start_values`."""
-    return {link.name: for_xml_rpc(dict(link.board_settings.wanted)) for link in links
-            if link.board_settings.wanted}
+    return {link.name: for_xml_rpc(dict(link.session.board_settings.wanted)) for link in links
+            if link.session.board_settings and link.session.board_settings.wanted}
 
 
 class SettingsServer:
@@ -84,7 +87,7 @@ class SettingsServer:
 
     def __init__(self, link: Link, values: Dict[str, Any], log: SparingLog) -> None:
         self._link = link
-        self._settings = link.board_settings
+        self._settings: Any = link.session.board_settings
         self._set_values = dict(values)     # that the parameter server has
         self._log = log
         self._name = f'~{PARAMETER}/{link.name}'

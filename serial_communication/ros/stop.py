@@ -4,9 +4,8 @@ from typing import Sequence
 import rospy
 from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse
 
-from ..link.lending import STALLED
+from ..link.writer import STALLED
 from ..link.link import Link
-from ..link.outcome import NOT_SENT, Outcome
 
 
 class Stop:
@@ -28,20 +27,14 @@ class Stop:
 
     def _handle(self, request: SetBoolRequest) -> SetBoolResponse:
         if request.data:
-            return self._stop()
-        return self._release()
-
-    def _stop(self) -> SetBoolResponse:
-        self._set(True)      # of all links first: from now on nothing moves again
-        failures = [f'{link.name}: {failure}' for link in self._links
-                    for failure in [link.stop_motion()] if failure]
-        rospy.logwarn('~stop: all that moves is stopped until ~stop is called with data: false'
-                      + ''.join(f'; {failure}' for failure in failures))
-        return SetBoolResponse(not failures, '; '.join(failures) or 'stopped')
-
-    def _release(self) -> SetBoolResponse:
-        if any(link.connection.may_be_from_a_stall() for link in self._links):
-            return SetBoolResponse(False, Outcome(NOT_SENT, STALLED).text)
+            self._set(True)      # of all links first: from now on nothing moves again
+            failures = [f'{link.name}: {failure}' for link in self._links
+                        for failure in [link.stop_motion()] if failure]
+            rospy.logwarn('~stop: all that moves is stopped until ~stop is called with data: '
+                          + '; '.join(['false', *failures]))
+            return SetBoolResponse(not failures, '; '.join(failures) or 'stopped')
+        if not all(link.writer.fresh.is_fresh(link.now()) for link in self._links):
+            return SetBoolResponse(False, STALLED)
         if self.holds:
             rospy.loginfo('~stop: released')
         self._set(False)
@@ -50,4 +43,4 @@ class Stop:
     def _set(self, holds: bool) -> None:
         self.holds = holds
         for link in self._links:
-            link.is_stopped = holds
+            link.session.is_stopped = holds

@@ -97,7 +97,7 @@ class _Master(OpenPort):
         with _closed_by_other():
             return os.write(self._master, data)
 
-    def close(self, is_held: bool) -> None:
+    def close(self) -> None:
         """Drop what was written but not read."""
         with suppress(OSError, termios.error):
             termios.tcflush(self._master, termios.TCOFLUSH)

@@ -18,7 +18,7 @@ import serial
 from . import tty_settings
 from .port_errors import GONE, PortError
 
-_READ_SIZE = 65536
+_READ_SIZE = 4096      # so that a heartbeat never waits until a flood of bytes is decoded
 _SLICE = 0.05      # s; longest wait of pyserial's reads and writes
 _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
 _MOST_REFUSED = 3      # times in turn that a tty does not take its settings; then it keeps its own
@@ -73,17 +73,17 @@ class OpenPort:
         """The same, and those that the peer of a connection has not acknowledged."""
         return 0
 
-    def discard_output(self) -> None:
-        """Drop what waits in the kernel, where that is possible."""
-
-    def restore_settings(self) -> str:
+    def changed_settings(self) -> str:
         return ''
+
+    def renew(self, keeps_input: bool) -> int:
+        return 0
 
     def pulse(self, line: str) -> None:
         raise PortError('the port has no control lines')
 
-    def close(self, is_held: bool) -> None:
-        """Close it. `is_held`: its peer takes too little."""
+    def close(self) -> None:
+        """Close it, and drop what is not sent."""
         self._serial.close()
 
 
@@ -125,9 +125,9 @@ class _Polled(OpenPort):
     def on_its_way(self) -> int:
         return self._queued(termios.TIOCOUTQ)
 
-    def close(self, is_held: bool) -> None:
+    def close(self) -> None:
         self._poll.close()
-        super().close(is_held)
+        super().close()
 
     def _queued(self, request: int) -> int:
         with suppress(OSError):
@@ -178,26 +178,30 @@ class OpenTty(_Polled):
         with suppress(OSError):
             fcntl.ioctl(self._fd, request)
 
-    def discard_output(self) -> None:
-        with suppress(OSError, termios.error):
-            termios.tcflush(self._fd, termios.TCOFLUSH)
+    def changed_settings(self) -> str:
+        if self._settings:
+            with suppress(OSError):         # the device is gone; the next read reports it
+                found = tty_settings.read(self._fd)
+                if found != self._settings:
+                    return tty_settings.changes(self._settings, found)
+        return ''
 
-    def restore_settings(self) -> str:
-        wanted = self._settings
+    def renew(self, keeps_input: bool) -> int:
+        waiting = 0 if keeps_input else self._queued(termios.FIONREAD)
         try:
-            found = tty_settings.read(self._fd) if wanted else b''
-            if found == wanted:
-                return ''
-            tty_settings.write(self._fd, wanted)
-            # A device may refuse some of them: do not try for ever. But what is read back may also
-            # be what another program has just set again.
-            self._refused = self._refused + 1 if tty_settings.read(self._fd) == found else 0
-            if self._refused >= _MOST_REFUSED:
-                self._settings, self._refused = found, 0
-            termios.tcflush(self._fd, termios.TCIFLUSH)
+            termios.tcflush(self._fd, termios.TCOFLUSH if keeps_input else termios.TCIOFLUSH)
+            found = tty_settings.read(self._fd) if self._settings else b''
+            if found != self._settings:
+                tty_settings.write(self._fd, self._settings)
+                # A device may refuse some of them: do not try for ever. But what is read back may
+                # also be what another program has just set again.
+                is_refused = tty_settings.read(self._fd) == found
+                self._refused = self._refused + 1 if is_refused else 0
+                if self._refused >= _MOST_REFUSED:
+                    self._settings, self._refused = found, 0
         except (OSError, termios.error):
-            return ''       # the device is gone; the next read reports it
-        return tty_settings.changes(wanted, found)
+            pass        # the device is gone; the next read reports it
+        return waiting
 
     def pulse(self, line: str) -> None:
         """Reset the board, as Arduino's programs do it by DTR, whose rise resets, and esptool by
@@ -209,11 +213,9 @@ class OpenTty(_Polled):
         time.sleep(_PULSE)
         setattr(self._serial, line, not is_rts)
 
-    def close(self, is_held: bool) -> None:
-        if is_held:     # closing waits up to 30 s for the output to drain
-            self.discard_output()
+    def close(self) -> None:
         self._lock(termios.TIOCNXCL)    # it would last while any other program has the tty open
-        super().close(is_held)
+        super().close()
 
 
 class OpenSocket(_Polled):
@@ -235,13 +237,13 @@ class OpenSocket(_Polled):
     def unsent(self) -> int:
         return self._queued(_NOT_SENT)
 
-    def close(self, is_held: bool) -> None:
-        if is_held or self.on_its_way():
+    def close(self) -> None:
+        if self.on_its_way():
             with suppress(OSError):     # already gone
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER,
                                         struct.pack('ii', 1, 0))     # resets it
         self._end()
-        super().close(is_held)
+        super().close()
 
     def _end(self) -> None:
         """Close the socket itself: pyserial would then sleep for 0.3 s, as long as a stall."""

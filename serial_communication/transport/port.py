@@ -10,61 +10,69 @@ import termios
 import threading
 import time
 from contextlib import suppress
-from typing import Callable, NamedTuple, Optional, Set
+from typing import Optional, Set
 
 import serial
 
 from .open_port import OpenPort, open_port
-from .pace import clock
 from .port_errors import PortBusy, PortError, explain
 from .urls import NETWORK, read_url
 
+_HELD = 0.1             # s of wire time; a tty with more to send when it closes is held
 _MOST_WAKES = 65536     # calls of `wake` that one read takes
-_STALLED = 0.1     # s of wire time; with a longer backlog a tty counts as held when it closes
-
-
-class Loan(NamedTuple):
-    """Another program has borrowed a port."""
-
-    by: str          # who; for people
-    until: float     # s; by the clock of the port
-
-    def __str__(self) -> str:
-        return f'lent to {self.by}'
 
 
 class Port:
     """A path or a URL of pyserial's that can be opened any number of times; other programs are kept
     out. One thread opens, reads and closes; any thread may write or wake.
 
-    `baud` is in bits per second. `reset_on_open` pulses DTR, which resets many boards. `now` is
-    the clock of loans.
+    `baud` is in bits per second. `reset_on_open` pulses DTR, which resets many boards.
     """
 
     RETRY = 0.3     # s until a simulated board tries to open it again
 
-    def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False,
-                 now: Callable[[], float] = clock) -> None:
+    def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False) -> None:
         self.url, self._scheme = read_url(url)
-        # Whether the port is on another computer, which hides how much it has not sent.
-        self.is_network = self._scheme in NETWORK
-        self.is_pty = False              # the open port is a pseudo terminal, which hides it, too
         self.baud = baud
-        self.byte_time = 0.0             # s on the wire of a byte received; 0.0: not known
         self.bytes_received = 0
         self.bytes_sent = 0
         self._reset_on_open = reset_on_open
-        self._now = now
-        self.loan: Optional[Loan] = None     # the port stays closed while it runs
         self._opened: Optional[OpenPort] = None
-        self._failure = ''               # why this connection was given up
-        self._lock = threading.Lock()    # held to write, to lend, and at the end of an opening
+        self._failure = ''               # why this opening was given up
+        self._lock = threading.Lock()    # held to write, and at the end of an opening
         self._rest = b''                 # the unsent rest of a frame that the kernel took in part
         self._wake_read, self._wake_write = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
 
     @property
     def is_open(self) -> bool:
         return self._opened is not None
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it is open, and not given up."""
+        return self._opened is not None and not self._failure
+
+    @property
+    def is_network(self) -> bool:
+        """Whether the port is on another computer."""
+        return self._scheme in NETWORK
+
+    @property
+    def is_pty(self) -> bool:
+        """Whether the open port is a pseudo terminal."""
+        opened = self._opened
+        return opened is not None and opened.is_pty
+
+    @property
+    def hides(self) -> bool:
+        """Whether it hides what it has not sent."""
+        return self.is_network or self.is_pty
+
+    @property
+    def byte_time(self) -> float:
+        """s on the wire of a byte received; 0.0: not known."""
+        opened = self._opened
+        return 10.0 / self.baud if opened and opened.has_baud else 0.0
 
     def open(self) -> None:
         """Open the port; raise PortError with the reason if it cannot be opened now."""
@@ -73,39 +81,20 @@ class Port:
         except (OSError, ValueError, termios.error) as error:
             raise PortError(explain(error)) from None
         with self._lock:
-            self.is_pty = opened.is_pty
-            self.byte_time = 10.0 / self.baud if opened.has_baud else 0.0
             self._rest, self._failure = b'', ''
             self._opened = opened
 
     def _open(self) -> OpenPort:
         port = serial.serial_for_url(self.url, do_not_open=True)
-        self._refuse_while_lent(port.port or '')
         port.baudrate = self.baud
         return open_port(port, self._scheme, self._wake_read, self._reset_on_open)
 
-    def _refuse_while_lent(self, path: str) -> None:
-        """Raise PortError while a loan runs, and afterwards until no other program has the device
-        open: an upload goes on if whoever renewed its loan was killed."""
-        loan = self.loan
-        if loan is None:
-            return
-        if self.is_lent:
-            raise PortError(str(loan))
-        if self._others_have(path):
-            raise PortError(f'it was {loan}, and another program still has it open')
-        self.loan = None
-
-    @staticmethod
-    def _others_have(path: str) -> bool:
-        """Whether another program has the device open."""
-        return bool(open_in(path) - {os.getpid()})
-
-    @property
-    def is_lent(self) -> bool:
-        """Whether a loan runs."""
-        loan = self.loan        # the link's thread may set it to None
-        return loan is not None and self._now() < loan.until
+    def is_used(self) -> bool:
+        """Whether another program has the device open; False if that cannot be known."""
+        with suppress(OSError, ValueError, serial.SerialException):
+            path = serial.serial_for_url(self.url, do_not_open=True).port
+            return bool(path and open_in(path) - {os.getpid()})
+        return False
 
     def give_up(self, why: str) -> None:
         """Write nothing more until the port is opened again; the next `read` raises PortError,
@@ -113,6 +102,21 @@ class Port:
         with self._lock:
             self._failure = why
         self.wake()
+
+    def renew(self, keeps_input: bool = False) -> int:
+        """Drop what waits in both directions, and restore the settings of a tty; it stays open.
+
+        Returns the number of bytes received that were dropped. With `keeps_input` these stay. A
+        network port can drop nothing: `give_up` instead. Of a pseudo terminal, up to 4095 bytes
+        that its other side can read already stay there.
+        """
+        with self._lock:
+            self._rest = b''
+            return self._opened.renew(keeps_input) if self._opened else 0
+
+    def changed_settings(self) -> str:
+        """The settings of a tty that another program has changed, for people; '': none."""
+        return self._opened.changed_settings() if self._opened else ''
 
     def pulse(self, line: str) -> None:
         """Reset the board by the line `dtr` or `rts`; PortError if the port has no such lines."""
@@ -125,14 +129,16 @@ class Port:
             raise PortError(explain(error)) from None
 
     def close(self) -> None:
-        """Close the port; what was written but not sent is dropped."""
+        """Close the port; what the other side does not take is dropped."""
         with self._lock:
-            is_held = bool(self._rest) or self.backlog() > _STALLED
+            is_held = bool(self._rest) or self.unsent() > self.baud / 10 * _HELD
             closing, self._opened = self._opened, None
             self._rest = b''
         if closing:
             with suppress(OSError, termios.error):
-                closing.close(is_held)
+                if is_held:     # else a tty waits up to 30 s for the output to leave
+                    closing.renew(keeps_input=False)
+                closing.close()
 
     def pause(self, seconds: float) -> None:
         """Sleep for so long, or until `wake`, while the port is closed."""
@@ -141,14 +147,14 @@ class Port:
                 os.read(self._wake_read, _MOST_WAKES)
 
     def read(self, timeout: Optional[float]) -> bytes:
-        """Sleep until bytes are received, and return all of them.
+        """Sleep until bytes are received, and return them, at most 4096.
 
         Return b'' after `timeout` s (None: no limit) or `wake`; raise PortError if the port is
         gone.
         """
         opened = self._opened
-        if opened is None:
-            raise PortError('the port is closed')
+        if opened is None or self._failure:
+            raise PortError(self._failure or 'the port is closed')
         try:
             data = opened.read(timeout, bool(self._rest))
             if self._rest:
@@ -156,8 +162,6 @@ class Port:
                     self._rest = self._send(opened, self._rest)
         except OSError as error:
             raise PortError(explain(error)) from None
-        if self._failure:
-            raise PortError(self._failure)
         self.bytes_received += len(data)
         return data
 
@@ -171,7 +175,7 @@ class Port:
         with self._lock:
             opened = self._opened
             if opened is None or self._failure:
-                raise PortError(str(self.loan or self._failure or 'the port is closed'))
+                raise PortError(self._failure or 'the port is closed')
             try:
                 if self._rest:
                     self._rest = self._send(opened, self._rest)
@@ -191,47 +195,19 @@ class Port:
         self.bytes_sent += sent
         return data[sent:]
 
-    def backlog(self) -> float:
-        """The bytes that wait in the kernel to be sent, as s of wire time; 0.0 if unknown."""
+    def unsent(self) -> int:
+        """How many written bytes wait here to be sent, as the driver reports it; 0 if unknown."""
         opened = self._opened
-        return (opened.unsent() + len(self._rest)) * 10.0 / self.baud if opened else 0.0
-
-    def on_its_way(self) -> bool:
-        """Whether written bytes are not sent yet; for a connection, not yet acknowledged."""
-        opened = self._opened
-        return opened is not None and opened.on_its_way() + len(self._rest) > 0
+        return opened.unsent() + len(self._rest) if opened else 0
 
     def drain(self, seconds: float) -> None:
-        """Wait, at most for so long, until all that was written has left."""
+        """Wait, at most for so long, until all that was written has left, and a peer has it."""
         deadline = time.monotonic() + seconds
-        while self.on_its_way() and time.monotonic() < deadline:
+        while time.monotonic() < deadline:
+            opened = self._opened
+            if opened is None or not opened.on_its_way() + len(self._rest):
+                return
             time.sleep(0.002)
-
-    def discard_output(self, why: str = 'the peer takes no data') -> bool:
-        """Drop what was written but not sent; return whether the port is still usable.
-
-        A connection cannot do that. It is given up instead, and the next `read` raises PortError,
-        whose text is `why`. Of a pseudo terminal, up to 4095 bytes that its other side can read
-        already stay there.
-        """
-        with self._lock:
-            self._rest = b''
-            if not self.is_network:
-                if self._opened:
-                    self._opened.discard_output()
-                return True
-            self._failure = why
-        self.wake()
-        return False
-
-    def restore_settings(self) -> str:
-        """Restore the settings of a tty if another program has changed them; return those, for
-        people, or ''.
-
-        Only the reading thread may call this. Bytes that wait to be read are dropped then, since
-        the other settings may have changed them.
-        """
-        return self._opened.restore_settings() if self._opened else ''
 
     def wake(self) -> None:
         """Make a sleeping `read` return, or the next one."""

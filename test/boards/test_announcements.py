@@ -9,8 +9,8 @@ from serial_communication.boards.bus import announcement
 from serial_communication.boards.bus.call import Call
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
-from serial_communication.framing.announcement import Assembly, Chunk, chunks_of
-from serial_communication.link.link import Refused
+from serial_communication.framing.announcement import Assembly, chunks_of
+from serial_communication.link.session import Refused
 from serial_communication.link.outcome import TIMEOUT, Outcome
 from serial_communication.link.sparing_log import SparingLog
 
@@ -38,7 +38,7 @@ def car(logger):
     got, texts = [], []
     steps = Steps(ArduinoLink, logger=logger, on_message=lambda message, stamp: got.append(message))
     steps.got, steps.texts = got, texts
-    steps.link.announcement.on_text = texts.append
+    steps.link.session.announcement.on_text = texts.append
     return steps.run(0.1)
 
 
@@ -46,16 +46,16 @@ def test_the_car_announces_a_text_once_and_a_changed_one_again(car):
     car.give(b''.join(packets(TEXT) * 2 + packets(OTHER)[:1] + packets(TEXT)) + TICKS)
     assert car.texts == [TEXT] and car.got == [arduino.Ticks(1)]
     car.give(b''.join(packets(OTHER)))
-    assert car.texts == [TEXT, OTHER] and not any(car.link.decoder.errors.values())
+    assert car.texts == [TEXT, OTHER] and not any(car.link.traffic.errors.values())
 
 
 def test_announced_rows_are_used_only_after_this_board_has_announced_them(car):
     """After the port was opened, another board may be behind it."""
     force, link = arduino.encode(Force(7)), car.link
-    link.decoder.add_message(Force)
+    link.session.decoder.add_message(Force)
     car.give(b''.join(packets(TEXT)))
-    assert not link.announcement.is_current       # until its rows are in use
-    link.announcement.use(TEXT, 'nano_car 1.1.0', ['force'])
+    assert not link.session.announcement.is_current       # until its rows are in use
+    link.session.announcement.use(TEXT, 'nano_car 1.1.0', ['force'])
     car.give(force + TICKS)
     assert car.got == [Force(7), arduino.Ticks(1)]
     car.unplug().plug().give(force * 3 + TICKS)
@@ -71,36 +71,15 @@ def test_announced_rows_are_used_only_after_this_board_has_announced_them(car):
     assert car.got[4:] == [arduino.Ticks(1)], 'the board announces something else now'
 
 
-def test_a_text_that_is_too_long_is_refused_with_one_line(car, lines):
-    car.give(b''.join(arduino.encode(Chunk(index, 12, 7, bytes(200))) for index in range(12)))
-    car.give(b''.join(packets(TEXT)))
-    assert car.texts == [TEXT] and len(lines('over 2048 bytes')) == 1
-
-
-def test_diagnostics_have_no_keys_before_something_is_announced(car):
-    assert not {'firmware', 'announced', 'held back'} & set(
-        dict(car.link.report(car.port.time).values))
-
-
 def test_chunks_of_the_sensor_board_count_in_seq_and_are_no_sign_of_life(logger):
     silences, texts = [], []
     sensors = Steps(McuLink, timeout=0.1, logger=logger,
                     on_silence=lambda *silence: silences.append(silence))
-    sensors.link.announcement.on_text = texts.append
+    sensors.link.session.announcement.on_text = texts.append
     sensors.run(0.05).give(b''.join(mcu.encode(chunk, seq + 7) for seq, chunk in
                                     enumerate(chunks_of(TEXT, 20))), 1.0)
-    assert texts == [TEXT] and sensors.link.frames_lost == 0 and sensors.link.silent
+    assert texts == [TEXT] and not sensors.link.session.talks(0.0)
     assert {kind for kind, _, _ in silences} == {None} and sensors.port.wrote == []
-
-
-def test_the_silence_of_classes_that_were_replaced_is_not_kept(logger):
-    sensors = Steps(McuLink, timeout=20.0, logger=logger).run(0.1)
-    for seq in range(5):
-        kind = type('Custom', (mcu.AdcStatus,), {'TYPE': 0x70})
-        sensors.link.decoder.add_message(kind)
-        sensors.give(mcu.encode(kind(*range(6)), seq))
-        sensors.link.decoder.remove_message(kind)
-    assert set(sensors.link._latest) == {None, 0x70}
 
 
 # -- the bus ---------------------------------------------------------------------------------------
@@ -152,21 +131,6 @@ def test_the_pauses_between_questions_grow(outcome, log):
     assert len(questions.asked) == 7
 
 
-@pytest.mark.parametrize('outcome', [
-    Outcome(bus.ERROR, 'malformed', 0x8001), Outcome(TIMEOUT, 'no reply'),
-    Outcome(bus.OK, '', 0, chunks_of(b'old', 9)[0].pack())],
-    ids=('no such chunk', 'none', 'a chunk of the board before'))
-def test_a_question_from_before_a_sync_says_nothing_about_the_board_behind_it(log, outcome):
-    questions = Questions(log)
-    questions.question.step(0.0)
-    questions.question.restart(1.0)
-    questions.asked[0].finish(outcome)
-    texts = [questions.question.step(now) for now in (2.0, 3.0, 4.0)]
-    assert texts == [None] * 3 and len(questions.asked) == 2
-    questions.asked[1].finish(Outcome(bus.OK, '', 0, chunks_of(b'new', 9)[0].pack()))
-    assert questions.question.step(5.0) == b'new'
-
-
 def answer(questions, chunks, most=1000):
     """Answer questions from these chunks until a text is known; return it."""
     for at in range(most):
@@ -196,16 +160,6 @@ def test_a_bus_board_is_asked_for_each_chunk_once(log):
     assert [call.request.data for call in questions.asked] == [
         bytes((index,)) for index in range(len(chunks_of(TEXT, 20)))]
     assert bus.encode_request(questions.asked[0].request) == bytes.fromhex('a50155ff000e')
-
-
-@pytest.mark.parametrize('chunks', [
-    [chunk._replace(crc=1) for chunk in chunks_of(TEXT, 50)], chunks_of(TEXT, 20)[:1] * 300],
-    ids=('the CRC never matches', 'the index is ignored'))
-def test_a_text_that_cannot_be_read_is_given_up_after_three_rounds(log, lines, chunks):
-    questions = Questions(log)
-    assert answer(questions, chunks) == b''
-    assert len(questions.asked) == 3 * chunks[0].count
-    assert len(lines('does not match its text in 3 rounds')) == 1
 
 
 @pytest.fixture

@@ -209,39 +209,3 @@ def test_a_false_start_delays_frames_until_it_is_given_up(kind):
         assert [frame.raw for frame in valid(decoder.give_up())] == wires
         assert not decoder.pending
         assert decoder.errors[FRAMING] == 1 and total(decoder.errors) == 1
-
-
-@every_checksummed
-def test_false_starts_inside_a_false_start_are_given_up_one_by_one(kind):
-    decoder = kind.make()
-    decoder.feed(kind.false_start * 3 + sample_wires(kind)[0])
-    rounds = []
-    while decoder.pending:
-        rounds.append([frame.raw for frame in valid(decoder.give_up())])
-    assert rounds == [[], [], [sample_wires(kind)[0]]]
-
-
-@every_checksummed
-def test_the_front_moves_only_when_a_frame_is_decided(kind):
-    wire = sample_wires(kind)[0]
-    decoder = kind.make()
-    decoder.feed(wire + wire[:3])
-    assert decoder.front == len(wire)
-    decoder.feed(wire[3:4])
-    assert decoder.front == len(wire) and decoder.needed <= len(wire)
-    decoder.feed(wire[4:] + wire[:2])
-    assert decoder.front == 2 * len(wire)
-    decoder.reset()
-    assert decoder.front == decoder.received == 2 * len(wire) + 2
-
-
-@pytest.mark.parametrize('kind, wire', [
-    (BUS, bus.encode_reply(bus.Reply(bus.OK, b'\xa5\x5a\x11' * 20))),
-    (BOARD_BUS, bus.encode_request(bus.Request(bus.ECHO, 0, b'\xa5\x5a\x11' * 20))),
-    (MCU, mcu.encode_raw(0x63, 0, b'\2\3\2\x10\2' * 12))], ids=('bus', 'board side', 'mcu'))
-def test_noise_with_many_false_starts_counts_once(kind, wire):
-    damaged = bytearray(wire)
-    damaged[-1 if kind is not MCU else -2] ^= 0x80
-    frames, errors = decode(kind, bytes(damaged) + sample_wires(kind)[0])
-    assert [frame.raw for frame in frames] == [sample_wires(kind)[0]]
-    assert errors == dict(kind.make().errors, checksum=1)

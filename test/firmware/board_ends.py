@@ -9,7 +9,6 @@ import serial
 from by_definition import (SENSORS, arduino_at, arduino_packet, bus_frame, mcu_at,
                            xor_of)
 from emulated_board import EmulatedBoard
-from waiting import again_if_stalled
 
 (DEBUG, INFO, WARN, ERROR, SPEED, STEERING, LED, ANGLE, TICKS, IMU, VOLTAGE, HEARTBEAT,
  CALIBRATION) = range(13)
@@ -152,15 +151,6 @@ def comes_at(car, kind, rate):
     first, last = kinds.index(TIME), len(kinds) - 1 - kinds[::-1].index(TIME)
     times = board_times(car.packets)
     return kinds[first:last].count(kind) / (times[-1] - times[0]) == pytest.approx(rate, rel=0.05)
-
-
-def takes(board, action, seconds):
-    """Check that `action` takes so long, within 5 %."""
-    def measured():
-        start = board.time
-        action()
-        return board.time - start == pytest.approx(seconds, rel=0.05)
-    return again_if_stalled(measured)
 
 
 # The control board

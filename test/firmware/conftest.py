@@ -6,11 +6,9 @@ import pytest
 
 import emulated_board
 from board_ends import car_end, frames_end, master_end
-from compilers import STUBS, for_the_pc, run
+from compilers import for_the_pc, run
 
-# The programs that are compiled for the PC.
-PROGRAMS = {'protocol_driver': [], 'library_cases': [],
-            'old_reading': ['-I', STUBS + '/i2c', '-I', emulated_board.FIRMWARE + '/ctrl_board']}
+PROGRAMS = 'protocol_driver', 'library_cases'      # that are compiled for the PC
 
 
 @pytest.fixture(scope='session')
@@ -23,9 +21,9 @@ def compilers(tmp_path_factory):
     """(program, its compiler) by name; they run while the boards' tests wait for the boards."""
     folder = tmp_path_factory.mktemp('programs')
     started = {name: (str(folder / name), subprocess.Popen(
-        for_the_pc(name + '.cpp', folder / name, *options), stdout=subprocess.PIPE,
+        for_the_pc(name + '.cpp', folder / name), stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, universal_newlines=True))
-        for name, options in PROGRAMS.items()}
+        for name in PROGRAMS}
     yield started
     for _, compiler in started.values():
         compiler.kill()

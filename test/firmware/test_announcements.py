@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from board_ends import IMU, OK, TICKS, car_end, comes_at, error, master_end
+from board_ends import OK, car_end, error, master_end
 from emulated_board import FIRMWARE
 from serial_communication.boards.arduino import custom_messages
 from serial_communication.boards.arduino import wire as arduino
@@ -56,26 +56,6 @@ def test_chunks_are_sent_ten_times_a_second_until_all_have_gone_twice(library_ca
     assert len([ms for ms in times if ms >= 7000]) == 20
 
 
-@pytest.mark.parametrize('name, decoder', [('packets', arduino), ('frames', mcu)])
-def test_a_long_announcement_goes_twice_before_it_becomes_seldom(library_case, name, decoder):
-    """Its topics would need minutes otherwise."""
-    text = library_case('print_long_rows')
-    assert 1500 < len(text) <= 2048
-    chunks = chunks_of(library_case('long_rows_in_' + name), decoder.Decoder())
-    often = quick(chunks)
-    assert often > 100
-    assert [ms for ms, _ in chunks][:often + 2] == [
-        100 * (number + 1) for number in range(often)] + [100 * often + 1000, 100 * often + 2000]
-    assert assembled([chunk for _, chunk in chunks[:often]]) == [text.encode()]
-
-
-def test_a_port_without_a_buffer_and_a_full_one_get_their_chunks_too(library_case):
-    chunks = chunks_of(library_case('chunks_through_a_port_without_a_buffer_and_a_full_one'),
-                       arduino.Decoder())
-    assert len([ms for ms, _ in chunks if ms < 5800]) == quick(chunks)
-    assert len([ms for ms, _ in chunks if ms >= 5800]) == 8      # each is a second late
-
-
 def test_a_sensor_board_sends_its_chunks_between_its_frames(library_case):
     output = library_case('chunks_between_the_frames_of_a_sensor_board')
     chunks = [chunk for _, chunk in chunks_of(output, mcu.Decoder())]
@@ -113,20 +93,6 @@ def test_the_car_announces_the_example(firmware_build):
             'imu_rate', 'motor_ramp', 'steering_range']
         named = {name: EXAMPLES['arduino']['messages'][name] for name in ('force', 'gripper')}
         assert meanings(custom_messages(rows)) == meanings(custom_messages(named))
-
-
-def test_chunks_do_not_change_how_many_measurements_the_car_sends(firmware_build):
-    """100 packets a second of each, while there are many chunks and when there is one a second."""
-    with car_end(firmware_build, image='nano_car_custom.elf') as car:
-        car.wait_for_text('IMU ready')
-        assert comes_at(car, IMU, 100)
-        assert len(car.read(TYPE)) >= 9
-        car.read()
-        counts = [sum(kind == wanted for kind, _ in car.packets) for wanted in (TICKS, IMU)]
-        assert abs(counts[0] - counts[1]) <= 1
-        often = 2 * Chunk.unpack(car.read(TYPE)[0]).count / 10      # s
-        car.board.wait_until(lambda: car.next(IMU, 100) and len(car.read(TYPE)) <= 2, often + 2)
-        assert comes_at(car, IMU, 100)
 
 
 def test_the_control_board_announces_the_example(firmware_build):

@@ -1,10 +1,9 @@
 """The example DiffDrive in its world: two wheels with mass, of which the left motor is weaker."""
 import math
-import struct
 
 import pytest
 
-from board_ends import CMD_VEL, ERROR, HEARTBEAT, ODOM, TIME, board_times, comes_at, packet
+from board_ends import ERROR
 from driven_base import base_end, cmd_vel
 from waiting import again_if_stalled
 
@@ -64,24 +63,6 @@ def test_each_wheel_has_its_speed(base, ahead, turn, left, right):
     drives_at(base, ahead, turn, left, right)
 
 
-def test_the_emulated_clock_can_wait_for_the_line(base):
-    board = base.board
-    board.set('line_first', 1)
-    began, bytes_before = board.at_once('time', 'rx_bytes')
-    base.port.write(bytes(1152))      # 0.1 s of the line
-    board.wait_until(lambda: board.get('rx_bytes') == bytes_before + 1152, 1)
-    assert board.time - began == pytest.approx(0.1, abs=0.002)
-
-
-def test_both_wheels_are_within_5_percent_0_2_s_after_the_command(base):
-    board, names = base.board, ('time', 'left_pwm', 'left_speed', 'right_speed')
-    end, found = board.time + 1, []
-    base.drive_until(lambda: found.append(board.at_once(*names)) or board.time > end, 0.2)
-    began = next(time for time, duty, *_ in found if duty)
-    late = [speed for time, _, *both in found if time > began + 0.2 for speed in both]
-    assert len(late) >= 20 and late == pytest.approx([0.2] * len(late), rel=0.05)
-
-
 def test_the_odometry_of_a_square_is_where_the_base_is(base):
     base.drive_square(0.5)
     true, believed = base.truth(), base.believed()
@@ -94,15 +75,6 @@ def test_the_odometry_of_a_square_is_where_the_base_is(base):
     assert true.yaw > 6.2     # how well it closes, depends on how soon this computer answers
     turns = sum(base.board.get(wheel + '_turns') for wheel in WHEELS) / 2
     assert turns * 2 * math.pi * RADIUS > 1.99
-
-
-def test_odometry_comes_50_times_a_second_each_with_its_time(base):
-    assert comes_at(base, ODOM, 50)
-    kinds = [kind for kind, _ in base.packets if kind in (ODOM, TIME)]
-    assert set(zip(kinds[::2], kinds[1::2])) in ({(TIME, ODOM)}, {(ODOM, TIME)})
-    times = board_times(base.packets)
-    for first, second in zip(times, times[1:]):
-        assert second - first == pytest.approx(0.02, abs=0.0015)
 
 
 def off_after(base, stop):
@@ -158,23 +130,6 @@ def test_a_command_of_0_turns_both_off_at_once(base):
     assert all(each < arrived[1] + 0.005 for each in off)
 
 
-def test_a_bridge_is_off_before_its_motor_changes_direction(base):
-    for ahead in 0.3, -0.3, 0.3:
-        drives_at(base, ahead, 0.0, ahead, ahead)
-    for ahead in 8 * (-0.3, 0.3):       # at any time of a period, with a stop between them
-        base.write(cmd_vel(0.0, 0.0))
-        end = base.board.time + 0.093
-        base.drive_until(lambda end=end: base.board.time > end, ahead)
-    for wheel in WHEELS:
-        history = base.board.history(wheel + '_inputs')
-        assert {inputs for _, inputs in history} == {0, 1, 2}
-        for (_, before), (low, inputs), (high, after) in zip(
-                history, history[1:], history[2:]):
-            assert inputs == 0 or before == after == 0
-            if {before, after} == {1, 2}:
-                assert high - low > 0.0021     # a period of the PWM
-
-
 @pytest.mark.parametrize('wheel', WHEELS)
 @pytest.mark.parametrize('fault', ['held', 'encoder'])
 def test_a_wheel_that_does_not_turn_stops_both_until_the_command_is_0(base, wheel, fault):
@@ -190,13 +145,3 @@ def test_a_wheel_that_does_not_turn_stops_both_until_the_command_is_0(base, whee
     board.set(f'{wheel}_{fault}', fault != 'held')
     base.stand()
     drives_at(base, 0.2, 0.0, 0.2, 0.2)
-
-
-def test_commands_of_another_size_or_without_heartbeats_drive_nothing(base):
-    board = base.board
-    for sent in (packet(CMD_VEL, struct.pack('<hh', 300, 0)),
-                 packet(HEARTBEAT) + packet(CMD_VEL, b'\1\2\3')):
-        end = board.time + 0.3
-        board.wait_until(lambda sent=sent: base.port.write(sent) and board.time > end, 2)
-        assert duties(base) == [0, 0]
-    base.wait_for_text('command 41 has 3 bytes, its struct 4')

@@ -8,7 +8,6 @@ import subprocess
 
 import pytest
 
-from emulated_board import FIRMWARE
 from compilers import (CORE, HERE, ON_THE_AVR, ON_THE_ESP, PROTOCOL, STRICT, STUBS,
                        check, run)
 
@@ -103,35 +102,6 @@ def test_the_sketch_of_the_readme_builds(tmp_path):
     compiles(ON_THE_AVR, tmp_path, code)
 
 
-def test_a_sketch_may_have_names_that_the_headers_use_inside(tmp_path):
-    """No header has `using namespace`: a struct Packet of the sketch was ambiguous."""
-    inside = set()
-    for path in glob.glob(PROTOCOL + '/*.h'):
-        assert 'using namespace' not in read(path), path
-        inside.update(re.findall(r'^(?:class|struct) (\w+)', read(path), re.M))
-    own = sorted(inside - set(keywords()))
-    assert 'Packet' in own and 'Announcer' in own
-    source = tmp_path / 'sketch.cpp'
-    source.write_text(
-        '#include <Arduino.h>\n' + ''.join('#include <%s>\n' % name_of(path) for path in sorted(
-            glob.glob(PROTOCOL + '/*.h'))) + ''.join(
-                'struct %s { uint8_t own; };\n%s a%d = {1};\n' % (name, name, index)
-                for index, name in enumerate(own)))
-    check(ON_THE_AVR, str(source))
-
-
-def keywords():
-    lines = [line for line in read(LIBRARY + '/keywords.txt').splitlines()
-             if line and not line.startswith('#')]
-    assert all(re.match(r'\w+\t(KEYWORD[12]|LITERAL1)$', line) for line in lines)
-    return [line.split('\t')[0] for line in lines]
-
-
-def test_keywords_are_in_the_headers():
-    headers = ' '.join(read(path) for path in glob.glob(PROTOCOL + '/*.h'))
-    assert [word for word in keywords() if not re.search(r'\b%s\b' % word, headers)] == []
-
-
 @pytest.mark.skipif(not shutil.which('arduino-builder'), reason='arduino-builder is not installed')
 @pytest.mark.parametrize('processor', ['atmega328', 'atmega328old'])
 def test_arduinos_own_builder_finds_the_library_and_compiles_the_example(processor, tmp_path):
@@ -214,10 +184,3 @@ def test_a_command_of_another_size_is_said_once_a_type_and_second(library_case):
     output = library_case('a_command_of_another_size_is_said_once_a_type_and_second')
     for what in '48 has 3', '148 has 1':
         assert 3 <= output.count(f'command {what} bytes, its struct 2') <= 4, output
-
-
-def test_no_program_that_is_built_has_the_name_of_a_script(firmware_build):
-    """rosrun looks for its programs everywhere below the package."""
-    built = {name for _, _, names in os.walk(firmware_build) for name in names}
-    assert 'avr_emulator' in built
-    assert built & set(os.listdir(os.path.join(FIRMWARE, os.pardir, 'scripts'))) == set()

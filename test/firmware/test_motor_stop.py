@@ -110,31 +110,3 @@ def test_watchdog_ends_a_loop_that_hangs(car):
     board.ask('stall 10')
     board.wait_until(lambda: board.get('watchdog_resets') == 1, 1)
     car.wait_for_text('IMU ready')
-
-
-def test_bridge_inputs_are_never_both_high_and_pause_at_a_turn(car):
-    board = car.board
-    for speed in (600, -600, 600, -600, 600):
-        drive_until(car, speed, lambda: board.get('motor_direction') == (1 if speed > 0 else -1))
-    history = board.history('bridge_inputs')
-    assert {inputs for _, inputs in history} == {0, 1, 2}
-    pauses = []
-    for (_, before), (low, inputs), (high, after) in zip(history[1:], history[2:], history[3:]):
-        assert inputs == 0 or before == after == 0    # low between any two that are not
-        if {before, after} == {1, 2}:
-            pauses.append(high - low)
-    assert len(pauses) == 4
-    assert min(pauses) >= 0.00204    # a period of the PWM
-    assert min(pauses) < 0.005       # one is longer where a heartbeat was late
-
-
-def test_commands_that_turn_faster_than_the_pause_end_with_the_last(car):
-    board = car.board
-    drive(car)
-    car.port.write(driving(-700) + driving(700) + driving(-300))
-    # From the history: it lasts only for 31 ms.
-    board.wait_until(lambda: 77 in [pwm for _, pwm in board.history('motor_pwm')], 1)
-    assert [way for _, way in board.history('motor_direction') if way][-1] == -1
-    car.port.write(driving(300) + driving(0) + packet(HEARTBEAT))
-    board.wait_until(lambda: board.time - board.get('last_rx_time') > 0.02, 1)
-    assert board.history('motor_pwm')[-1][1] == 0

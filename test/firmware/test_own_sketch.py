@@ -71,21 +71,3 @@ def test_avr_board_runs_any_image(image, firmware_build, tmp_path):
         finally:
             board.send_signal(signal.SIGTERM)
         assert board.wait(PATIENCE) == 0
-
-
-@pytest.mark.parametrize('arguments, words', [
-    (['SKETCH=missing'], 'SKETCH=missing: there is no folder of that name with an .ino file'),
-    (['SKETCH=empty'], 'SKETCH=empty: there is no folder of that name with an .ino file')])
-def test_a_sketch_that_is_none_is_said(tmp_path, arguments, words):
-    (tmp_path / 'empty').mkdir()
-    done = make(tmp_path, *arguments)
-    assert done.returncode == 2 and words in done.stdout
-
-
-@pytest.mark.parametrize('arguments, status, words', [
-    (['--link', 'x'], 2, 'name a board, or an image'),
-    (['--elf', '/no/such.elf'], 1, 'there is no file /no/such.elf')])
-def test_mistakes_in_the_arguments_of_avr_board(arguments, status, words):
-    done = subprocess.run([AVR_BOARD, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          universal_newlines=True)
-    assert done.returncode == status and words in done.stderr

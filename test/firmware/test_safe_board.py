@@ -7,13 +7,11 @@ import struct
 import pytest
 
 from board_ends import (
-    CALIBRATION, GRIPPER, HEARTBEAT, LED, LIFT, OK, PUMP, SETTING, SPEED, STEERING, UP, WARN, Car,
-    Frames, Master, drive_until, driving, packet, request,
+    GRIPPER, HEARTBEAT, LIFT, OK, PUMP, UP, Car, Frames, Master, drive_until, packet, request,
 )
 from driven_base import cmd_vel
 from emulated_board import FIRMWARE, EmulatedBoard
 from test_motor_stop import ROUNDS, print_times
-from waiting import again_if_stalled
 from wheel import TARGET
 
 DOOR = 0x33    # function of the example Slave
@@ -146,94 +144,3 @@ def test_a_crash_with_interrupts_off_turns_everything_off(firmware_build, image)
         if taken:
             print_times('crash of ' + image, taken)
             assert max(taken) < 0.2
-
-
-@pytest.mark.parametrize('image', ['Car', 'DiffDrive', 'Slave'])
-def test_pull_downs_keep_noise_from_floating_pins(firmware_build, image):
-    """In the bootloader, which each opening of the port starts, no pin is driven."""
-    world, turn_on = IMAGES[image]
-    outputs = {'car': ('motor_pwm', 'bridge_inputs'),
-               'diff': ('left_pwm', 'left_inputs', 'right_pwm', 'right_inputs'),
-               'ctrl': ('pump', 'door', 'lift_steps', 'pan_steps', 'tilt_steps')}[world]
-    with EmulatedBoard(firmware_build, world, image=image + '.elf') as board:
-        for pull_downs in (1, 0):
-            turn_on(board)
-            board.set('pull_downs', pull_downs)
-            board.ask('dtr')
-            opened = board.time
-            values = [[board.get(output)] for output in outputs]
-
-            def the_program_runs():
-                if board.time - opened < 0.95:
-                    for seen, output in zip(values, outputs):
-                        seen.append(board.get(output))
-                return board.time - opened > 1.1
-
-            board.wait_until(the_program_runs, 2)
-            moved = [len(set(seen)) > 1 for seen in values]
-            assert moved == [not pull_downs] * len(outputs), (pull_downs, values)
-            # The program turns everything off as it starts, whatever the noise has left.
-            for output in outputs[:2] if world == 'ctrl' else outputs:
-                assert board.get(output) == 0
-
-
-def flood(board, port, wanted, seconds, condition=lambda: False):
-    """Fill the line for so long, or until a condition; the bytes a second that were received."""
-    waiting, start, received = b'', board.time, board.get('rx_bytes')
-
-    def is_over():
-        nonlocal waiting
-        waiting = waiting or wanted * 20
-        try:
-            waiting = waiting[os.write(port.fileno(), waiting):]
-        except BlockingIOError:
-            pass
-        return condition() or board.time > start + seconds
-
-    board.wait_until(is_over, 3 * seconds)
-    return (board.get('rx_bytes') - received) / (board.time - start)
-
-
-FLOODS = {
-    'unknown lamps': ('nano_car_emulated', packet(LED, b'foo\0')),
-    'lamps': ('nano_car_emulated', packet(LED, b'left\0')),
-    'steering': ('nano_car_emulated', packet(STEERING, b'\xdc\x05')),
-    'speed': ('nano_car_emulated', packet(SPEED, b'\xbc\x02')),
-    'commands of another size': ('nano_car_custom', packet(GRIPPER, b'\x01')),
-    'calibrations without an IMU': ('Car', packet(CALIBRATION)),
-    'settings': ('nano_car_emulated', packet(SETTING, b'\x01\x00\x00') + packet(
-        SETTING, b'\x02\xc8\x00') + packet(SETTING, b'\x01\x01\x00') + packet(
-            SETTING, b'\x02\xc9\x00') + packet(SETTING, b'\x03\x64')),
-}
-
-
-@pytest.mark.parametrize('what', sorted(FLOODS))
-def test_no_flood_of_commands_resets_the_car_or_hides_its_heartbeats(firmware_build, what):
-    image, unwanted = FLOODS[what]
-    with EmulatedBoard(firmware_build, 'car', image=image + '.elf') as board:
-        car = Car(board)
-        wanted = driving(700) + unwanted * (100 // len(unwanted))
-        flood(board, car.port, wanted, 2, lambda: car.read() and False
-              or board.get('motor_pwm') > 0)
-
-        def every_heartbeat_is_read_in_time():
-            changes = board.history('motor_pwm')
-            rate = flood(board, car.port, wanted, 2, lambda: car.read() and False)
-            line_is_full = rate > 0.9 * 11520
-            return line_is_full and board.history('motor_pwm') == changes and changes[-1][1] > 0
-        assert again_if_stalled(every_heartbeat_is_read_in_time)
-        assert board.get('watchdog_resets') == 0
-        warnings = [text for kind, text in car.texts() if kind == WARN]
-        assert len(warnings) <= 5, warnings    # one a second
-        car.port.close()
-
-
-@pytest.mark.parametrize('image', ['ctrl_board', 'Slave'])
-@pytest.mark.parametrize('sent', [
-    request(1, 0, bytes(300)) + request(1) * 40, request(0x55, 0x77),
-    b'\xa5\x05\x5a\xff\x00' * 9], ids=['ECHO', 'unsupported', 'noise'])
-def test_no_flood_of_requests_resets_a_bus_board(firmware_build, image, sent):
-    with EmulatedBoard(firmware_build, 'ctrl', image=image + '.elf') as board:
-        port = synchronised(board).port
-        flood(board, port, sent, 1.5, lambda: port.read(4096) and False)
-        assert board.get('watchdog_resets') == 0

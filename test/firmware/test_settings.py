@@ -9,12 +9,12 @@ from by_definition import ANNOUNCEMENT, arduino_at, mcu_at, mcu_frame
 from waiting import again_if_stalled
 
 from board_ends import (
-    HEARTBEAT, IMU, MCU_SETTING, SETTING, SPEED, STEERING, TICKS, car_end, packet)
+    MCU_SETTING, SETTING, SPEED, car_end, packet)
 from compilers import ON_THE_AVR, PROTOCOL, run
 from emulated_board import FIRMWARE
 from serial_communication.framing.announcement import read_announcement
 from serial_communication.framing.settings import read_settings
-from wheel import STEP, hold, response, rise, set_to, target
+from wheel import hold, set_to, target
 
 NUMBERS = [1, 2, 3, 4, 5, 200]      # those of library_cases.cpp, in the order of their table
 
@@ -85,42 +85,7 @@ def test_settings_follow_the_chunks_of_an_announcement(library_case):
     assert all(any(0 <= answer - ms < 10 for answer in answers) for ms in range(0, 9000, 50))
 
 
-def test_an_answer_waits_for_room_and_all_are_given(library_case):
-    packets = packets_of(library_case('settings_through_a_full_port'))
-    assert [(ms, packet.data) for ms, packet in packets if packet.data[0] in (2, 4) and ms > 160][
-        :4] == [(350, b'\x02' + struct.pack('<H', 16)), (351, b'\x04\x07'),
-                (550, b'\x02' + struct.pack('<H', 16)), (551, b'\x04\x07')]
-    late = [packet.data[0] for ms, packet in packets if ms > 3200]     # with its reports alone
-    assert 2 in late and 4 in late
-
-
 # The sketches, on the emulated chip
-
-
-def test_gains_that_are_set_over_the_wire_change_the_step_response(firmware_build):
-    with car_end(firmware_build, image='Tuning.elf') as car:
-        def slow():
-            found = response(car, 4)
-            return 1.5 < rise(found) < 2.5 and max(found) < 8.5
-
-        def quick():
-            found = response(car, 2)
-            return 0.1 < rise(found) < 0.25 and max(found) < 9
-
-        def overshoots():
-            return max(response(car, 2)) > 9.2
-        assert again_if_stalled(slow)
-        set_to(car, 'f', 1, 40)
-        set_to(car, 'f', 2, 200)
-        assert again_if_stalled(quick)
-        set_to(car, 'f', 2, 5000, used=1000)
-        assert again_if_stalled(overshoots)
-        car.forget()
-        car.board.reset()
-        # The first report may be part of a packet that the reset has cut.
-        car.board.wait_until(lambda: {(1, 4), (2, 20), (3, 0)} <= {
-            struct.unpack('<Bf', data) for data in car.read(SETTING)}, 2)
-        assert car.board.get('rx_overruns') == 0
 
 
 def stops_in_time(car):
@@ -147,20 +112,6 @@ def test_the_motor_stops_without_heartbeats_and_waits_for_a_new_target(firmware_
         assert car.board.history('motor_pwm') != known
 
 
-def test_after_a_packet_that_was_cut_anywhere_the_next_setting_is_used(firmware_build):
-    """As an unplugged cable cuts one: what follows it is lost with it, and no more."""
-    with car_end(firmware_build, image='Tuning.elf') as car:
-        whole = packet(SETTING, struct.pack('<Bf', 1, 17.3))
-        for end in range(1, len(whole)):
-            car.port.write(whole[:end] + packet(HEARTBEAT))
-            set_to(car, 'f', 1, 20 + end)
-        wanted = target(STEP)
-        for end in range(1, len(wanted)):
-            car.port.write(wanted[:end] + packet(HEARTBEAT))
-            hold(car, wanted, 0.5)
-            assert stops_in_time(car) > 0
-
-
 def test_the_ramp_of_the_car_delays_a_rise_and_no_stop(car):
     def climb():
         """Seconds from PWM 100 to 255, of the latest rise."""
@@ -179,30 +130,6 @@ def test_the_ramp_of_the_car_delays_a_rise_and_no_stop(car):
     assert again_if_stalled(ramps)
     assert stops_in_time(car) == 255
     set_to(car, 'H', 1, 60000, used=2000)
-
-
-def test_the_steering_range_of_the_car_holds_for_the_angle_that_was_commanded(car):
-    def servo(pulse_us):
-        car.board.wait_until(lambda: car.board.get('servo_us') == pulse_us, 1)
-    car.send(STEERING, struct.pack('<H', 1900))
-    servo(1900)
-    set_to(car, 'H', 2, 200)
-    servo(1700)
-    car.send(STEERING, struct.pack('<H', 1000))
-    servo(1300)
-    set_to(car, 'H', 2, 9000, used=500)
-    servo(1000)
-
-
-@pytest.mark.parametrize('rate', [1, 30, 99])
-def test_the_car_sends_as_many_imu_packets_as_it_is_set_to(car, rate):
-    set_to(car, 'B', 3, rate)
-
-    def in_two_seconds():
-        car.forget()
-        car.board.wait_until(lambda: len(car.read(TICKS)) >= 200, 5)
-        return abs(len(car.read(IMU)) - 2 * rate) <= 2
-    assert again_if_stalled(in_two_seconds)
 
 
 def test_the_sensor_board_has_another_period_and_forgets_it_at_a_reset(sensors):
@@ -229,18 +156,3 @@ def test_the_sensor_board_has_another_period_and_forgets_it_at_a_reset(sensors):
     assert again_if_stalled(is_as_before)
     board.wait_until(lambda: sensors.read() and len(sensors.settings) >= 2, 3)
     assert {struct.unpack('<BH', data) for data in sensors.settings} == {(1, 50), (2, 200)}
-
-
-def test_the_sensor_board_times_out_when_it_is_set_to(sensors):
-    board = sensors.board
-    sensors.port.write(mcu_frame(MCU_SETTING, 0, struct.pack('<BH', 2, 1000)))
-    board.wait_until(lambda: sensors.read() and struct.pack('<BH', 2, 1000) in sensors.settings, 1)
-
-    def after_a_second():
-        board.set('range1_alive', 1)
-        board.wait_until(lambda: sensors.next()[0][1] != 0xFFFF, 3)
-        board.set('range1_alive', 0)
-        start = board.time
-        board.wait_until(lambda: sensors.next()[0][1] == 0xFFFF, 3)
-        return 0.9 < board.time - start < 1.2
-    assert again_if_stalled(after_a_second)

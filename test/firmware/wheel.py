@@ -48,8 +48,3 @@ def response(car, seconds):
     car.forget()
     hold(car, target(STEP), seconds)
     return list(itertools.dropwhile(lambda speed: speed == 0, speeds(car)))
-
-
-def rise(found):
-    """Seconds of a response until 90 % of the step."""
-    return 0.01 * len(list(itertools.takewhile(lambda speed: speed < 0.9 * STEP, found)))

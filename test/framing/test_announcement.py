@@ -177,20 +177,6 @@ def test_a_line_that_is_no_row_is_left_out_with_one_line(line, why):
 PROGRAM = bytes.fromhex('0c945c000c946e000c946e00 0a 0c946e00cfef 0a d8e0debfcdbf11e0a0e0b1e0')
 
 
-@pytest.mark.parametrize('text', [PROGRAM, b'\xff' * 40, bytes(40), b'\7\n\n\7' + PROGRAM * 20])
-def test_a_text_that_is_none_is_reported_as_a_forgotten_progmem(text):
-    found = read_announcement(text)
-    problem, = found.problems
-    assert problem.startswith('the announcement is no text: b')
-    assert problem.endswith(': PROGMEM missing in the sketch?')
-    assert (found.rows, found.firmware) == ({}, '') and len(problem) < 200
-
-
-def test_one_damaged_line_is_no_forgotten_progmem():
-    assert 'PROGMEM' not in str(read_announcement(ROW + PROGRAM).problems)
-    assert 'PROGMEM' not in str(read_announcement('Größe\t\r\n'.encode()).problems)
-
-
 def test_there_are_at_most_16_rows():
     found = read_announcement(b''.join(b'r%d: {}\n' % number for number in range(400)))
     assert list(found.rows) == [f'r{number}' for number in range(16)]

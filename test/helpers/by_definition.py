@@ -84,11 +84,6 @@ def announcement(text: bytes, size: int) -> List[bytes]:
             for index, piece in enumerate(pieces)]
 
 
-def with_wrong_crc(chunks: List[bytes]) -> List[bytes]:
-    """The chunks with a CRC that is not that of their text."""
-    return [chunk[:2] + b'\x12\x34' + chunk[4:] for chunk in chunks]
-
-
 # -- bus ------------------------------------------------------------------------------------
 
 

@@ -5,13 +5,11 @@ until `close`, on a `Pty`, or on the tty with a path, which may vanish and retur
 """
 import threading
 import time
-from contextlib import contextmanager
 from functools import partial
 
 import waiting
 from fake_bus import FakeBus
 from lines import Tty
-from waiting import PATIENCE
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
@@ -76,17 +74,6 @@ class Board:
         self._thread.join(5)
         if isinstance(self.line, Tty):
             self.line.close()
-
-    @contextmanager
-    def unplugged(self):
-        """Context in which the `Pty` is absent."""
-        self._paused.set()
-        assert self._idle.wait(PATIENCE)
-        self.line.unplug()
-        yield
-        self.line.plug()
-        self._idle.clear()
-        self._paused.clear()
 
     def _run(self):
         while not self._closing.is_set():

@@ -11,8 +11,7 @@ import pytest
 from lines import Pty
 from waiting import PATIENCE
 
-from serial_communication.boards.arduino import motor, output
-from serial_communication.link import connection
+from serial_communication.link import freshness, writer
 from serial_communication.transport.port import Port
 
 _LIMIT = 2 * PATIENCE     # s for one test
@@ -51,7 +50,7 @@ def every_thread_ends():
 @pytest.fixture(autouse=True)
 def this_machine_stalls_no_link(monkeypatch):
     """Links do not drop what waited while this machine gave them no processor time."""
-    for module in connection, motor, output:
+    for module in freshness, writer:
         monkeypatch.setattr(module, 'STALL', _NEVER)
 
 

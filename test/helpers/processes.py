@@ -188,16 +188,6 @@ class Stage:
         self._core = Child('roscore', ['roscore', '-p', str(self._port)], self.folder, self.env)
         return self._core
 
-    @property
-    def master_runs(self) -> bool:
-        """Whether a roscore is running, also one that was asked to end."""
-        return self._core is not None and self._core.alive
-
-    def ask_master_to_end(self) -> None:
-        """Ask the roscore to end, which may take seconds; returns at once."""
-        if self._core:
-            self._core.ask_to_end()
-
     def end_master(self) -> None:
         """End the roscore and wait for its end."""
         if self._core:

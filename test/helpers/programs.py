@@ -4,7 +4,6 @@ import os
 import random
 import socket
 import tempfile
-from pathlib import Path
 
 
 class Output:
@@ -46,24 +45,6 @@ def started(make):
         if one.process.poll() is None:
             one.process.kill()
             one.process.wait()
-
-
-def processes_with(variable):
-    """The ids of the processes with this variable, NAME=VALUE, in their environment."""
-    found = []
-    for entry in Path('/proc').glob('[0-9]*'):
-        with contextlib.suppress(OSError):     # it has ended, or is another user's
-            if f'{variable}\0' in (entry / 'environ').read_text(errors='replace'):
-                found.append(int(entry.name))
-    return found
-
-
-def arguments_of(pid):
-    """The command line of a process; empty if it has ended."""
-    try:
-        return Path(f'/proc/{pid}/cmdline').read_text().split('\0')
-    except OSError:
-        return []
 
 
 def free_master():

@@ -16,8 +16,7 @@ class MemoryPort(Port):
     """
 
     def __init__(self, kind='tty'):
-        super().__init__('socket://none:1' if kind == 'network' else '/dev/none',
-                         now=lambda: self.time)
+        super().__init__('socket://none:1' if kind == 'network' else '/dev/none')
         self.kind = kind
         self.time = 100.0
         self.altered = ''       # settings of the tty that another program has changed
@@ -32,7 +31,6 @@ class MemoryPort(Port):
         self.is_woken = True
 
     def _open(self):
-        self._refuse_while_lent('/dev/none')
         if not self.is_there:
             raise FileNotFoundError(2, 'No such file or directory')
         self._input = b''
@@ -40,6 +38,9 @@ class MemoryPort(Port):
 
     def pause(self, seconds):
         pass
+
+    def is_used(self):
+        return False
 
     def wake(self):
         self.is_woken = True
@@ -72,14 +73,16 @@ class _Opened:
 
     on_its_way = unsent
 
-    def discard_output(self):
-        pass
+    def changed_settings(self):
+        return self._port.altered
 
-    def restore_settings(self):
-        altered, self._port.altered = self._port.altered, ''
-        return altered
+    def renew(self, keeps_input):
+        self._port.altered = ''
+        dropped = 0 if keeps_input else len(self._port._input)
+        self._port._input = self._port._input[dropped:]
+        return dropped
 
-    def close(self, is_held):
+    def close(self):
         pass
 
 
@@ -90,8 +93,6 @@ class Steps:
         self.port = port or MemoryPort()
         self.link = kind(self.port, *arguments, now=lambda: self.port.time, **options)
         self._due = dict.fromkeys(self.link.loops(), 0.0)
-        if kind.__name__ == 'ArduinoLink':      # as `start` does
-            self.link.output.motor.awake(self.port.time)
 
     def run(self, seconds):
         """Let so much time pass."""
@@ -100,7 +101,7 @@ class Steps:
             step = min(self._due, key=self._due.get)
             due = max(self._due[step], port.time)
             if port.is_woken:
-                step, due, port.is_woken = self.link.connection.step, port.time, False
+                step, due, port.is_woken = self.link.step, port.time, False
             if due > end:
                 port.time = end
                 return self

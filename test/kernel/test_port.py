@@ -4,7 +4,6 @@ import os
 import socket
 import threading
 import time
-from unittest import mock
 
 import pytest
 from lines import Rfc2217Server
@@ -133,16 +132,6 @@ def test_a_port_is_opened_exclusively(port, line, refusal):
     again.close()
 
 
-@pytest.mark.parametrize('major, byte_time', [(4, 1e-4), (188, 1e-4), (166, 0.0)])
-def test_the_wire_time_of_a_byte_is_known_of_a_uart_but_not_of_ttyacm(
-        major, byte_time, line, monkeypatch):
-    port = Port(line.path, 100_000)
-    monkeypatch.setattr('os.major', lambda device: major)
-    port.open()
-    port.close()
-    assert port.byte_time == byte_time
-
-
 def test_a_closed_port_raises_on_read_and_write_and_can_be_opened_again(port):
     port.close()
     port.close()
@@ -150,8 +139,7 @@ def test_a_closed_port_raises_on_read_and_write_and_can_be_opened_again(port):
         port.write(b'x')
     with pytest.raises(PortError):
         port.read(0)
-    port.discard_output()
-    assert port.backlog() == 0.0
+    assert port.renew() == port.unsent() == 0
     port.open()
     assert port.is_open
 
@@ -224,9 +212,9 @@ def test_frames_of_several_threads_are_not_mixed(port, line):
     assert sorted(seen) == [number for share in shares for number in share]
 
 
-def test_discard_output_drops_the_rest_of_a_frame(port, line):
+def test_renew_drops_the_rest_of_a_frame(port, line):
     taken = fill(port)
-    port.discard_output()
+    port.renew()
     received = line.read_all()
     assert b''.join(map(frame, taken)).startswith(received)
     assert len(received) < sum(len(frame(number)) for number in taken)
@@ -326,7 +314,7 @@ def test_a_write_to_an_rfc2217_server_that_stops_reading_does_not_block(rfc2217,
     taken = fill(port)
     with pytest.raises(PortBusy):
         port.write(b'x' * 70000)
-    assert port.backlog() > 1.0
+    assert port.unsent() > 11520
     rfc2217.go_on()
     reader = Reader(port, 1.0)
     expected = b''.join(map(frame, taken))
@@ -348,7 +336,7 @@ def test_unsent_bytes_of_a_connection_that_is_given_up_are_never_sent(request, k
     else:
         port, peer = request.getfixturevalue('connect')()
     fill(port)
-    assert port.discard_output() is False, 'unsent bytes cannot be dropped'
+    port.give_up('the peer takes no data')
     with pytest.raises(PortError):
         port.write(b'more')
     with pytest.raises(PortError) as error:
@@ -368,7 +356,7 @@ def test_unsent_bytes_of_a_connection_that_is_given_up_are_never_sent(request, k
 def test_sent_bytes_of_a_connection_arrive_though_it_is_closed(connect):
     port, peer = connect()
     port.write(b'the last')
-    until(lambda: not port.on_its_way())
+    port.drain(PATIENCE)
     port.close()
     assert peer.recv(100) == b'the last' and peer.recv(100) == b''
 
@@ -408,27 +396,7 @@ def test_a_port_without_a_descriptor_is_read_in_slices():
     port.wake()
     until(lambda: reader.returned)
     reader.stop()
-    assert port.backlog() == 0.0
+    assert port.unsent() == 0
     port.close()
     with pytest.raises(PortError):
         port.read(0)
-
-
-def test_an_rfc2217_port_is_closed_at_once(rfc2217):
-    port = Port(rfc2217.url)
-    port.open()
-    readers = [each for each in threading.enumerate() if 'RFC 2217' in each.name]
-    with mock.patch('serial.rfc2217.time') as clock:
-        port.close()
-    assert not clock.sleep.called and not port.is_open
-    until(lambda: not any(each.is_alive() for each in readers))
-
-
-def test_a_socket_is_closed_at_once():
-    """A link that took 0.3 s, as pyserial does, would count as stalled and refuse calls."""
-    with socket.create_server(('127.0.0.1', 0)) as server:
-        port = Port(f'socket://127.0.0.1:{server.getsockname()[1]}')
-        port.open()
-        with mock.patch('time.sleep', side_effect=AssertionError('it sleeps')):
-            port.close()
-        assert not port.is_open and server.accept()[0].recv(1) == b''

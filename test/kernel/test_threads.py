@@ -14,14 +14,14 @@ import time
 
 import pytest
 import serial.serialposix
-from waiting import Waiter, again_if_stalled, until
+from waiting import Waiter, until
 
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
-from serial_communication.boards.bus.link import BusLink
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.arduino.session import CarOptions
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
-from serial_communication.link.link import ERROR, Refused
+from serial_communication.link.session import ERROR, Refused
 from serial_communication.transport import open_port
 from serial_communication.transport.port import Port
 
@@ -42,8 +42,8 @@ def packets(data):
 
 @pytest.fixture
 def car(line, logger, running):
-    link = running(ArduinoLink(Port(line.path), ArduinoSettings(speed_timeout=0.0), logger=logger))
-    until(lambda: link.heartbeats_sent)
+    link = running(ArduinoLink(Port(line.path), CarOptions(speed_timeout=0.0), logger=logger))
+    until(lambda: link.session.heartbeats.sent)
     return link
 
 
@@ -95,14 +95,14 @@ def test_no_speed_follows_a_stop_that_is_called_while_threads_write(line, car):
         for _ in range(20):
             received = bytearray()
             until(lambda: speed in received, doing=lambda: received.extend(line.read(0.01)))
-            car.is_stopped = True
+            car.session.is_stopped = True
             assert car.stop_motion() == ''
-            beats = car.heartbeats_sent
-            until(lambda: car.heartbeats_sent > beats + 10,
+            beats = car.session.heartbeats.sent
+            until(lambda: car.session.heartbeats.sent > beats + 10,
                   doing=lambda: received.extend(line.read(0.0)))
             assert speed not in received[received.rindex(STOP):]
             assert STOP in received[received.rindex(speed):]
-            car.is_stopped = False
+            car.session.is_stopped = False
 
 
 def test_no_command_of_any_thread_follows_the_last_speed_0_before_a_loan(line, car):
@@ -112,7 +112,8 @@ def test_no_command_of_any_thread_follows_the_last_speed_0_before_a_loan(line, c
     try:
         with drivers(car):
             for _ in range(5):
-                until(lambda: car.lending.lend('avrdude', 5.0)[0])
+                until(lambda: car.lending.lend('avrdude', 5.0))
+                until(car.lending.closed.is_set)
                 seen = len(received)    # a read that has begun since then finds nothing
                 until(lambda: len(received) > seen + 1 and not received[-1])
                 assert b''.join(received).endswith(STOP) and not car.port.is_open
@@ -143,29 +144,34 @@ def borrow(line):
         process.stdout.close()
 
 
+def lend(link, seconds):
+    link.lending.lend('avrdude', seconds)
+    until(link.lending.closed.is_set)
+
+
 def test_a_lent_port_is_free_and_after_the_loan_waits_for_who_still_has_it_open(sensors, borrow):
     """Whoever renewed the loan was killed, and its upload goes on; it does not lock the port."""
-    assert sensors.lending.lend('avrdude', 5.0)[0]
+    lend(sensors, 5.0)
     upload = borrow()
     sensors.lending.lend('avrdude', 0.1)
-    until(lambda: 'still has it open' in sensors.connection.trouble)
-    assert sensors.condition(0.0) == (
+    until(lambda: 'still has it open' in sensors.reopening.trouble)
+    assert sensors.report(0.0)[:2] == (
         ERROR, 'closed: it was lent to avrdude, and another program still has it open')
     os.kill(upload.pid, signal.SIGKILL)
     until(lambda: sensors.port.is_open)
 
 
 def test_what_the_borrower_did_to_the_tty_is_put_right(line, sensors, borrow):
-    assert sensors.lending.lend('avrdude', 10.0)[0]
+    lend(sensors, 10.0)
     borrow('import termios, os; os.system("stty sane ixon 9600 < " + sys.argv[1]); '
            'termios.tcflow(port.fileno(), termios.TCOOFF)').wait()
     assert b'9600' in subprocess.check_output(['stty', '-F', line.path])
     sensors.lending.lend('avrdude', 0)
-    until(lambda: sensors.port.is_open and sensors.connection.number == 2)
+    until(lambda: sensors.port.is_open and sensors.reopening.count == 2)
     every = bytes(range(256))
     sensors.port.write(every)
     assert line.read_all() == every
-    until(lambda: sensors.frames_received or line.write(STATUS))
+    until(lambda: sensors.traffic.frames_received or line.write(STATUS))
 
 
 @pytest.mark.parametrize('by, expected', [
@@ -191,26 +197,6 @@ def test_a_reset_is_a_pulse_of_100_ms(port, line, monkeypatch, by, expected):
 
 
 # -- the end --------------------------------------------------------------------------------------
-
-@pytest.mark.parametrize('kind, names', [
-    (BusLink, {'bus link'}), (ArduinoLink, {'arduino link', 'arduino heartbeat'}),
-    (McuLink, {'mcu link'})], ids=('bus', 'arduino', 'mcu'))
-@pytest.mark.parametrize('present', [True, False], ids=('port open', 'port absent'))
-def test_threads_have_names_and_end_within_1_s_of_stop(line, logger, kind, names, present):
-    def threads():
-        return {thread.name for thread in threading.enumerate()}
-
-    def end_in_time():
-        link = kind(Port(line.path if present else line.path + '.absent'), logger=logger)
-        link.start()
-        until(lambda: link.connection.number == present and names <= threads())
-        begun = time.monotonic()
-        link.stop()
-        link.join()
-        until(lambda: not names & threads())
-        assert not link.port.is_open
-        return time.monotonic() - begun < 1.5
-    again_if_stalled(end_in_time)
 
 
 def test_the_last_packet_of_a_bridge_that_ends_is_speed_0(line, car):

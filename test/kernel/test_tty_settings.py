@@ -12,7 +12,7 @@ import pytest
 from waiting import PATIENCE
 
 from serial_communication.transport import open_port, tty_settings
-from serial_communication.transport.port import Port, PortError
+from serial_communication.transport.port import Port
 
 EVERY_BYTE = bytes(range(256))
 _IS_EXCLUSIVE = 0x80045440      # TIOCGEXCL, which termios does not name
@@ -43,54 +43,32 @@ def read_exactly(port, size):
     ids=' '.join)
 def test_settings_changed_by_another_program_are_named_and_restored(port, line, arguments, words):
     before = stty(line.path, '-g')
-    assert port.restore_settings() == ''
+    assert port.changed_settings() == ''
     stty(line.path, *arguments)
     if stty(line.path, '-g') == before:
         pytest.skip('a pseudo terminal has no such setting')
-    changed = port.restore_settings().split(', ')
-    assert set(words) <= set(changed)
+    assert set(words) <= set(port.changed_settings().split(', '))
+    port.renew()
     assert stty(line.path, '-g') == before
-    assert port.restore_settings() == '', 'reported twice'
+    assert port.changed_settings() == '', 'reported twice'
     line.write(EVERY_BYTE)
     assert read_exactly(port, 256) == EVERY_BYTE
     port.write(EVERY_BYTE)
     assert line.read_all() == EVERY_BYTE, 'changed bytes, or an echo'
 
 
-@pytest.mark.parametrize('again', ['icanon', 'echo'])
-def test_settings_that_are_changed_just_after_they_were_restored_are_restored_again(
-        port, line, monkeypatch, again):
-    before = stty(line.path, '-g')
-    stty(line.path, 'icanon')
-    with monkeypatch.context() as other:
-        write = tty_settings.write
-        other.setattr(tty_settings, 'write',
-                      lambda fd, settings: write(fd, settings) or stty(line.path, again))
-        assert 'icanon' in port.restore_settings()
-    assert again in port.restore_settings()
-    assert stty(line.path, '-g') == before
-
-
 def test_a_device_that_does_not_take_its_settings_is_left_alone_after_3_tries(
         port, line, monkeypatch):
     monkeypatch.setattr(tty_settings, 'write', lambda fd, settings: None)
     stty(line.path, 'icanon')
-    assert ['icanon' in port.restore_settings() for _ in range(5)] == [True] * 3 + [False] * 2
-
-
-def test_a_nonstandard_baud_rate_is_restored(line):
-    port = Port(line.path, 31250)
-    port.open()
-    stty(line.path, '115200')
-    assert port.restore_settings() == '115200 baud'
-    assert struct.unpack('=I', tty_settings.read(port._opened._fd)[-4:]) == (31250,)
-    port.close()
+    assert ['icanon' in port.changed_settings() for _ in range(5) if port.renew() == 0] == [
+        True] * 2 + [False] * 3
 
 
 def test_bytes_that_waited_under_other_settings_are_dropped(port, line):
     stty(line.path, 'sane')
     line.write(b'\r\x08\x15')
-    assert port.restore_settings()
+    port.renew()
     line.read_all()
     line.write(b'later')
     assert read_exactly(port, 5) == b'later'
@@ -98,9 +76,9 @@ def test_bytes_that_waited_under_other_settings_are_dropped(port, line):
 
 def test_a_port_that_is_not_a_tty_has_no_settings():
     port = Port('loop://')
-    assert port.restore_settings() == ''
+    assert port.changed_settings() == ''
     port.open()
-    assert port.restore_settings() == ''
+    assert port.changed_settings() == ''
     port.close()
 
 
@@ -134,13 +112,6 @@ def test_an_open_tty_is_locked_until_it_is_closed(line, port, monkeypatch):
         assert not is_exclusive(other)
         assert open_as_ordinary_user(device) == 0
     os.close(other)
-
-
-def test_restoring_the_settings_of_a_removed_tty_does_not_raise(port, line):
-    line.unplug()
-    assert port.restore_settings() == ''
-    with pytest.raises(PortError):
-        port.read(PATIENCE)
 
 
 @pytest.mark.parametrize('before', [['sane'], ['parmrk', 'ignpar', 'cstopb'], ['9600', 'ixany']])

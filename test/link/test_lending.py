@@ -2,12 +2,8 @@
 import pytest
 
 from steps import Steps
-from serial_communication.boards.arduino.link import ArduinoLink
-from serial_communication.boards.bus.link import BusLink
 from serial_communication.boards.mcu.link import McuLink
-from serial_communication.link import lending
-from serial_communication.link.link import WARN, Refused
-from serial_communication.link.outcome import NOT_SENT
+from serial_communication.link.session import WARN, Refused
 
 
 @pytest.fixture
@@ -16,26 +12,32 @@ def sensors():
 
 
 def refused(why):
-    return False, f'status 253 (not sent): {why}'
+    return False, why
 
 
 def lend(steps, by='avrdude', seconds=10.0):
-    task = steps.link.lending.ask_for_loan(by, seconds)
-    steps.run(0.0)
-    return task.answer
+    return answer(steps, lambda: steps.link.lending.lend(by, seconds))
 
 
 def reset(steps, line='dtr'):
-    steps.link.lending.line = line
-    task = steps.link.lending.ask_for_reset()
-    steps.run(0.0)
-    return task.answer
+    steps.link.lending.reset_line = line
+    return answer(steps, steps.link.lending.reset)
+
+
+def answer(steps, ask):
+    """Whether it was done, and what is said."""
+    try:
+        return True, ask()
+    except Refused as refused:
+        return False, str(refused)
+    finally:
+        steps.run(0.0)
 
 
 def test_a_lent_port_is_closed_until_it_is_given_back(sensors):
     assert lend(sensors) == (True, 'lent to avrdude')
     link = sensors.link
-    assert not link.port.is_open and link.condition(0.0) == (WARN, 'lent to avrdude')
+    assert not link.port.is_open and link.report(0.0)[:2] == (WARN, 'lent to avrdude')
     assert dict(link.report(0.0).values)['condition'] == 'lent'
     assert lend(sensors, 'minicom', 5.0) == refused('the port is lent to avrdude')
     assert lend(sensors, seconds=0.0) == (True, 'the port is opened again')
@@ -55,58 +57,16 @@ def test_a_wrong_loan_is_refused(sensors, by, seconds):
     assert not done and 'are needed' in text and sensors.port.is_open
 
 
-def test_a_name_is_one_short_line(sensors):
-    assert lend(sensors, 'a\nb' + 'c' * 500, 5.0)[0]
-    assert sensors.link.condition(0.0)[1] == 'lent to a\ufffdb' + 'c' * 57
-
-
-def test_after_the_loan_the_port_waits_for_a_program_that_still_has_it_open(sensors, monkeypatch):
-    lend(sensors, seconds=1.0)
-    monkeypatch.setattr(sensors.port, '_others_have', lambda path: True)
-    assert sensors.run(3.0).link.condition(0.0)[1] == (
-        'closed: it was lent to avrdude, and another program still has it open')
-
-
-def test_a_task_that_the_links_thread_does_not_begin_is_not_known_and_not_done(
-        sensors, monkeypatch):
-    monkeypatch.setattr(lending, '_PATIENCE', 0.0)
-    done, text = sensors.link.lending.lend('me', 5.0)
-    assert not done and text.startswith('status 254 (not known): the link did not confirm')
-    assert sensors.run(1.0).link.connection.number == 1
-
-
-def test_a_call_from_before_a_stall_lends_and_resets_nothing(sensors, monkeypatch):
-    monkeypatch.setattr(sensors.link.lending, '_may_be_old', lambda: True)
-    assert lend(sensors) == reset(sensors) == refused(lending.STALLED)
-
-
-def test_a_car_that_calibrates_is_not_lent_and_a_lent_one_takes_no_command():
-    car = Steps(ArduinoLink).run(0.1)
-    car.link.calibrate_imu()
-    assert lend(car) == refused('not now: the board calibrates its IMU, which takes minutes')
-    car.link.output.calibration = None
-    assert lend(car)[0]
-    with pytest.raises(Refused, match='lent to avrdude'):
-        car.link.set_speed(300)
-
-
-def test_calls_on_a_lent_bus_are_not_sent():
-    bus = Steps(BusLink).run(0.1)
-    assert lend(bus)[0]
-    outcome = bus.link.lift(0, 100)
-    assert outcome.status == NOT_SENT and 'lent to avrdude' in outcome.message
-
-
-def test_a_reset_is_a_pulse_and_a_new_opening(sensors):
+def test_a_reset_is_a_pulse_and_the_port_stays_open(sensors):
     assert reset(sensors, 'rts') == (True, 'reset by RTS')
-    assert sensors.port.pulses == ['rts'] and sensors.run(2.0).link.connection.number == 2
+    assert sensors.port.pulses == ['rts'] and sensors.run(2.0).link.reopening.count == 1
 
 
 def test_a_board_without_such_a_line_is_not_reset(sensors):
     assert reset(sensors, '') == refused(
         'no line that resets this board is known (parameter reset_line)')
-    sensors.port.is_pty = True
+    sensors.port._opened.is_pty = True
     assert reset(sensors) == refused('the port /dev/none has no control lines')
-    sensors.port.is_pty = False
+    sensors.port._opened.is_pty = False
     sensors.unplug()
     assert reset(sensors) == refused('the port is closed')

@@ -1,5 +1,6 @@
 """Stamps of frames with the board's time: their values by given times."""
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -9,8 +10,6 @@ from serial_communication.boards.arduino.link import ArduinoLink
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.link import McuLink
 from serial_communication.framing.board_time import LEAST_POINTS
-from serial_communication.link.connection import PortState
-from serial_communication.link.stall import AFTER_STALL, STALL
 from serial_communication.transport.port import Port
 
 BYTE = 10.0 / 115200     # s on the wire
@@ -33,7 +32,7 @@ class Car:
         self.got = []
         self.link = ArduinoLink(Port('/dev/none'), logger=logger, on_message=lambda message, stamp:
                                 self.got.append((message, stamp)), **options)
-        self.link.port.byte_time = byte_time
+        self.link.port._opened = SimpleNamespace(has_baud=byte_time > 0.0)
         self.now = 100.0
         self.reset_at = 0.0
 
@@ -47,7 +46,7 @@ class Car:
         monotonic clock, of what it passes on."""
         self.got.clear()
         at = self.now + late
-        self.link.connection._receive(wire, at + AHEAD, at)
+        self.link.receiver.take(wire, at + AHEAD, at)
         return [stamp - AHEAD for _message, stamp in self.got]
 
     def measure(self, late=DELAY, behind=b''):
@@ -86,26 +85,11 @@ def test_all_packets_of_one_time_have_one_stamp(car):
     assert stamps[3] == pytest.approx(car.now + 0.02)
 
 
-def test_a_clock_that_jumps_within_a_read_has_no_stamp_of_the_time_before(car):
-    car.settle()
-    ticks = arduino.encode(arduino.Ticks(1))
-    stamps = car.read(car.time(1) + ticks + car.time(2, ticks=5) + ticks + ticks, late=0.02)
-    assert stamps[0] < car.now + 0.01
-    assert stamps[1:] == pytest.approx([car.now + 0.02] * 2)
-
-
 def test_the_wire_time_from_the_begin_of_the_frame_to_the_read_is_taken_off(car):
     more = arduino.encode(arduino.Log(1, 'x' * 200))
     late = 10 * DELAY + len(more) * BYTE
     car.settle(late=late, behind=more)
     assert car.measure(late, more) == pytest.approx(10 * DELAY - GROUP * BYTE, abs=1e-4)
-
-
-def test_nothing_is_taken_off_where_the_wire_is_not_known(logger):
-    car, more = Car(logger, byte_time=0.0), arduino.encode(arduino.Log(1, 'x' * 200))
-    car.settle(late=0.05, behind=more)
-    assert car.measure(0.05, more) == pytest.approx(0.05)
-    assert car.measure(0.09, more) == pytest.approx(0.05)
 
 
 def test_no_stamp_is_after_its_read_nor_before_an_earlier_one(car):
@@ -124,23 +108,12 @@ def test_the_clock_is_learnt_anew_after_the_port_was_opened_or_the_board_was_res
     car.settle()
     assert car.measure(0.02) < 0.01
     if forget == 'opened':
-        car.link.connection._begin()
+        car.link.receiver.reset()
     else:
         car.reset_at = car.now
     assert [car.measure(0.02) for _ in range(9)] == pytest.approx([0.02] * 9)
     car.settle()
     assert car.measure(0.04) < 0.03
-
-
-def test_the_clock_is_learnt_anew_after_a_stall(car):
-    car.settle()
-    connection, at = car.link.connection, [1000.0]
-    connection.stalls.awake_at = 1000.0
-    for seconds in (2 * STALL, *[STALL / 2] * 5):
-        at[0] += seconds
-        connection._check_stall(at[0])
-    assert 5 * STALL / 2 > AFTER_STALL and connection.state is PortState.RECEIVING
-    assert car.measure(0.02) == pytest.approx(0.02)
 
 
 def test_a_frame_over_1_s_late_has_the_stamp_of_its_read_and_is_counted_and_logged(car, lines):
@@ -152,38 +125,6 @@ def test_a_frame_over_1_s_late_has_the_stamp_of_its_read_and_is_counted_and_logg
     assert got == pytest.approx([car.now + 1.3])
     assert car.values()['clock errors'] == 2      # TIME and its packet
     assert len(lines('over 1 s old')) == 1
-
-
-def test_a_time_is_for_packets_up_to_1_s_later(car):
-    car.settle()
-    late = [DELAY, 0.5, 0.99, 1.1]
-    car.now += PERIOD
-    wire = [car.time(16), *[b''] * 3]
-    got = [car.read(more + arduino.encode(arduino.Ticks(1)), seconds)[0] - car.now
-           for more, seconds in zip(wire, late)]
-    assert got == pytest.approx([DELAY, DELAY, DELAY, 1.1], abs=2e-3)
-
-
-def test_a_frame_in_an_earlier_read_has_its_time(logger):
-    """It is found when a false frame around it is given up."""
-    got = []
-    link = McuLink(Port('/dev/none'), on_status=lambda *status: got.append(status), logger=logger)
-    now = 100.0
-
-    def read(wire, at):
-        link.connection._receive(wire, at + AHEAD, at)
-
-    for seq in range(0, 60, 2):
-        now += PERIOD
-        read(mcu.encode(mcu.Time(round(now * 1e6)), seq) + mcu.encode(ADC, seq + 1), now + DELAY)
-    now += PERIOD
-    read(bytes((2, 200)), now)
-    read(mcu.encode(mcu.Time(round(now * 1e6)), 60) + mcu.encode(ADC, 61), now + 0.03)
-    del got[:]
-    for _ in range(3):
-        link.connection._receive(b'', now + 1 + AHEAD, now + 1)
-    assert [(seq, stamp) for _message, seq, stamp in got] == [
-        (61, pytest.approx(now + DELAY + AHEAD, abs=2e-3))]
 
 
 def test_diagnostics_show_the_clock_only_of_a_board_that_sends_its_time(car):
@@ -222,35 +163,10 @@ def test_a_step_of_the_clock_of_the_stamps_changes_no_difference(car):
     car.settle()
     car.now += PERIOD
     for step in 0.0, -3600.0, 1e9:
-        car.link.connection._receive(car.time(1) + arduino.encode(arduino.Ticks(1)),
+        car.link.receiver.take(car.time(1) + arduino.encode(arduino.Ticks(1)),
                                      car.now + 0.02 + step, car.now + 0.02)
         assert car.got[-1][1] == pytest.approx(car.now + step + DELAY, abs=2e-3)
         car.now += PERIOD
-
-
-@pytest.mark.parametrize('step', [-3600.0, -0.05, 3600.0])
-def test_a_step_of_the_clock_of_the_stamps_between_time_and_its_packet_gives_the_stamp_of_the_read(
-        car, step):
-    car.settle()
-    car.now += PERIOD
-    car.read(car.time(2))
-    ticks = arduino.encode(arduino.Ticks(1))
-    for late in 0.003, 0.004:
-        at = car.now + late
-        car.link.connection._receive(ticks, at + AHEAD + step, at)
-        assert car.got[-1][1] == pytest.approx(at + AHEAD + step, abs=1e-6)
-    assert car.measure(0.02) < 0.01, 'the next time is known'
-
-
-def test_stamps_are_made_earlier_by_the_function_of_the_caller(logger):
-    car = Car(logger, earlier=lambda stamp, seconds: ('earlier', stamp - AHEAD, seconds))
-    for _ in range(30):
-        car.now += PERIOD
-        car.link.connection._receive(car.time(1) + arduino.encode(arduino.Ticks(1)),
-                                     car.now + 0.01 + AHEAD, car.now + 0.01)
-    word, stamp, seconds = car.got[-1][1]
-    assert (word, stamp) == ('earlier', pytest.approx(car.now + 0.01))
-    assert seconds == pytest.approx(GROUP * BYTE, abs=1e-4)
 
 
 def test_a_board_without_time_has_the_stamps_of_its_reads_themselves(logger):
@@ -264,7 +180,7 @@ def test_a_board_without_time_has_the_stamps_of_its_reads_themselves(logger):
     for index in range(10 * LEAST_POINTS):
         stamp, at = object(), 100.0 + index * PERIOD + index % 3 / 100
         del got[:]
-        car.connection._receive(row, stamp, at)
-        sensors.connection._receive(mcu.encode(ADC, index), stamp, at)
+        car.receiver.take(row, stamp, at)
+        sensors.receiver.take(mcu.encode(ADC, index), stamp, at)
         assert len(got) == 3 and all(each is stamp for each in got)
     assert not any(key in KEYS for link in (car, sensors) for key, _ in link.report(at).values)

@@ -167,11 +167,6 @@ class Browser:
         """Click where nothing is, so that the window has the focus from now on."""
         self._actions().move_to_element(self.all('h1')[0]).click().perform()
 
-    def hover(self, selector):
-        element = self.all(selector)[0]
-        self.script("arguments[0].scrollIntoView({block: 'center'})", element)
-        self._actions().move_to_element(element).perform()
-
     def double_click(self, selector):
         self._actions().double_click(self.all(selector)[0]).perform()
 

@@ -29,22 +29,11 @@ KEPT_BACK = re.compile('press again|call again|one call at a time|while the brid
                        'no connection to the panel|(bridge|ROS master) does not answer|'
                        '; nothing was sent|the board is silent|the port takes no data|'
                        'the line has not sent')
-GRIPPER = arduino.encode_raw(40, struct.pack('<hhB', -25, 500, 3))     # x -2.5, y 50, z 3
 
 
 def free_port():
     """Like that of a master: no outgoing connection gets it while nobody listens on it."""
     return urlsplit(free_master()).port
-
-
-@contextlib.contextmanager
-def suspended(pid):
-    """Inside this block, the process does not run."""
-    os.kill(pid, signal.SIGSTOP)
-    try:
-        yield
-    finally:
-        os.kill(pid, signal.SIGCONT)
 
 
 class Core:
@@ -269,8 +258,8 @@ class Page:
         patient: if too many pages are open, wait: those of the test before may still be counted.
     """
 
-    def __init__(self, panel, token=None, watch=(), acknowledges=True, origin='', host='',
-                 reads=True, patient=True):
+    def __init__(self, panel, token=None, watch=(), origin='', host='',
+                 patient=True):
         self.updates = deque(maxlen=5000)
         self.status = None          # of the HTTP answer
         self.closed = ''            # the reason, once it is closed
@@ -278,9 +267,7 @@ class Page:
         self.known = {}             # the latest value of each key of the updates
         self.samples = {}           # topic -> latest sample by field
         self.calls = {}
-        self.pongs = 0
         self.holds = 0              # presses of the driving pad
-        self.acknowledges = acknowledges
         self._fields = {}
         self._sending = threading.Lock()
         host = host or f'127.0.0.1:{panel.port}'
@@ -293,18 +280,15 @@ class Page:
             status, _headers, key = panel.exchange(token)
             lines.append(f'Sec-WebSocket-Protocol: panel, {key if status == 200 else token}')
         header = ('\r\n'.join(lines) + '\r\n\r\n').encode()
-        until(lambda: self._connect(panel.port, header, reads) != 503 or not patient,
+        until(lambda: self._connect(panel.port, header) != 503 or not patient,
               'there is room for another page', every=0.1)
         if self.status == 101:
             self.send(watch=list(watch))
-            if reads:
-                threading.Thread(target=self._read, daemon=True).start()
+            threading.Thread(target=self._read, daemon=True).start()
 
-    def _connect(self, port, header, reads):
+    def _connect(self, port, header):
         self._socket = socket.socket()
         self._socket.settimeout(PATIENCE)
-        if not reads:       # and the system buffers little
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
         self._socket.connect(('127.0.0.1', port))
         self._socket.sendall(header)
         self._stream = self._socket.makefile('rb')
@@ -392,9 +376,6 @@ class Page:
                 if size > 125:
                     size = int.from_bytes(self._stream.read(2 if size == 126 else 8), 'big')
                 data = self._stream.read(size)
-                if first & 15 == 10:
-                    self.pongs += 1
-                    continue
                 if first & 15 == 8:
                     self.closed = data[2:].decode() or 'closed'
                     return
@@ -404,8 +385,7 @@ class Page:
 
     def _take(self, update):
         self.now = update['now']
-        if self.acknowledges:
-            self.send()
+        self.send()
         self.known.update(update)
         for name, changes in update.get('topics', {}).items():
             if 'fields' in changes:

@@ -1,31 +1,24 @@
 """The page in a browser: its display, its commands, and outages of bridge, master and panel."""
 import contextlib
-import os
-import re
 import shutil
 import struct
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from itertools import count, starmap
 
 import pytest
 import rospy
-from boards import PACKAGE, Diagnostics, Topic, again_if_stalled, settle, until
-from panel_helpers import GRIPPER, KEPT_BACK, NODE, TOKEN, Network, Panel, free_port, suspended
+from boards import PACKAGE, Topic, again_if_stalled, settle, until
+from panel_helpers import KEPT_BACK, NODE, TOKEN, Network
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Twist, Vector3
-from sensor_msgs.msg import Imu, Range
-from std_msgs.msg import ColorRGBA, Float32, Float64, Int64, String
-from std_srvs.srv import SetBool, SetBoolResponse, Trigger, TriggerResponse
+from sensor_msgs.msg import Imu
+from std_srvs.srv import SetBool
 
-from serial_communication.link.outcome import NOT_SENT, Outcome
 from serial_communication.msg import Environment, McuStatus2, SteeringFeedback, Ticks, Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.settings import SettingMessage
-from serial_communication.srv import Lift, LiftResponse, Release
 from serial_communication.tools.watch.topics import TOPICS
 
 if not shutil.which('chromedriver'):
@@ -112,29 +105,6 @@ def press(page, button, holds, what, click=None):
               doing=press_again)
 
 
-def newest_outcome(page):
-    """The outcome of the newest answer."""
-    return page.attribute('.answers li', 'data-outcome')
-
-
-def press_until(page, robot, button, reply, holds, click=None):
-    """Press a button of a function, to which the board sends `reply`, until `holds(page)`; again
-    if a stall dropped the request or the reply."""
-    def tried():
-        before = page.texts('.answers li')      # shown until the page is drawn again
-        settle(PACKAGE, robot.bus)              # a request may still be on its way
-        robot.bus.script.append(reply)
-        press(page, button, lambda page: page.texts('.answers li') != before
-              and (holds(page) or newest_outcome(page) == 'not known'), 'it is answered', click)
-        return holds(page)
-    again_if_stalled(tried)
-
-
-def press_until_done(page, robot, button, reply, click=None):
-    """Press a button of a function until it is done."""
-    press_until(page, robot, button, reply, lambda page: newest_outcome(page) == 'done', click)
-
-
 def release_stop(page):
     """Wait until the page shows that STOP holds, and release it there."""
     wait_for_attribute(page, '#stop', 'aria-pressed', 'true')
@@ -204,61 +174,6 @@ def test_every_reading_shows_the_value_of_its_topic(page, robot):
         topic.close()
 
 
-TITLES = {'bus': 'control board', 'arduino': 'model car', 'mcu': 'sensor board'}
-
-
-def test_link_cards_show_diagnostics(page):
-    diagnostics = Diagnostics()
-    for name, status in diagnostics.wait_for_all(TITLES, lambda *_: True, 'a status').items():
-        card = f'[data-link="{name}"]'
-        page.wait_for_text(card + ' .card-head .note', TITLES[name])
-        page.wait(lambda page, card=card, port=status.keys['port']: page.text(
-            card + ' .port').replace('\n', '') == port, f'{name}: the port')
-        page.script("document.querySelector(arguments[0]).open = true", card + ' details')
-
-        def shows_latest(page, name=name, card=card):
-            latest = diagnostics.statuses(name)[-1]
-            summary, rows = page.script("""
-                const card = document.querySelector(arguments[0]);
-                return [card.querySelector('.summary').textContent,
-                        [...card.querySelectorAll('details tr')].map(
-                            tr => [...tr.children].map(cell => cell.textContent))];""", card)
-            return summary == latest.message and dict(rows) == latest.keys
-        page.wait(shows_latest, f'{name}: summary and all keys of the latest status')
-
-        def age_fits(page, name=name, card=card):
-            age = float(diagnostics.statuses(name)[-1].keys['last frame age [s]'])
-            shown = page.text(card + ' .facts > div:nth-child(3) dd')
-            return shown == ('now' if age < 0.1 else f'{age:.1f} s ago')
-        page.wait(age_fits, f'{name}: the last frame is as old as the status has it')
-
-
-def test_an_error_is_shown_and_counted_by_its_cause(page, robot):
-    card = '[data-link="mcu"]'
-    wait_for_attribute(page, card, 'data-health', 'ok')
-    announced = watch_texts(page, '#announcer')
-
-    def send_wrong():
-        robot.sensors.write(b'\x02\x0c\x10\x00' + bytes(10) + b'\x00\x03')    # a wrong CRC
-
-    def three_are_counted():
-        before = int(page.text(card + ' .count'))
-        for _ in range(3):
-            send_wrong()
-        page.wait_for_updates(50)       # a status of each second; a stall may drop what was sent
-        return int(page.text(card + ' .count')) >= before + 3
-    again_if_stalled(three_are_counted)
-    # The warning of those three may be over by now on a busy machine.
-    wait_for_attribute(page, card, 'data-health', 'warn', doing=send_wrong, every=0.3)
-    assert 'checksum' in page.text(card + ' .causes')
-    # Or that of the arduino, whose heartbeat is late while this machine is busy.
-    page.wait(lambda page: re.match('! (mcu|arduino): warning', page.title), 'the title shows it',
-              doing=send_wrong, every=0.3)
-    assert any('mcu link: warning' in each for each in announced())
-    wait_for_attribute(page, card, 'data-health', 'ok')
-    assert 'checksum' in page.text(card + ' .causes')       # also when the warning is over
-
-
 HOSTILE = '<img src=x onerror=document.title="pwned"><script>document.title="pwned"</script>'
 
 
@@ -275,208 +190,6 @@ def test_markup_in_a_text_is_shown_as_text(page, robot):
     assert page.all('.log img') == page.all('.log script') == page.all('.frame img') == []
     assert 'pwned' not in page.title
     page.script("document.getElementById('card-wire').open = false")
-
-
-def test_the_wire_shows_filters_pauses_and_explains_frames(page, robot):
-    page.click('#card-wire > summary')
-    page.wait(lambda page: len(page.all('.frame')) == 16, 'frames are shown')
-    for word in ('mcu', 'arduino', 'bus'):
-        page.wait(lambda page: word in page.texts('.chip'), word)
-    page.script("[...document.querySelectorAll('.chip')]"
-                ".find(chip => chip.textContent == 'arduino').click()")
-    page.wait(lambda page: {link.split()[0] for link in page.texts('.frame-link')} <= {
-        'mcu', 'bus'}, 'the arduino is filtered out')
-    page.click('.tools button')       # pause
-    shown = page.text('.frames')
-    page.wait(lambda page: page.text('.wire .note[role=status]') == 'paused', 'the page shows it')
-    page.wait_for_updates(20)
-    assert page.text('.frames') == shown
-    page.click('.tools button')
-    page.wait(lambda page: page.text('.frames') != shown, 'it continues')
-    # Pointing at a field highlights its bytes, and the reverse.
-    page.script("[...document.querySelectorAll('.chip')]"
-                ".filter(chip => !/sensor status|mcu$/.test(chip.firstChild.textContent)"
-                " && chip.ariaPressed == 'true').forEach(chip => chip.click())")
-    page.wait(lambda page: set(page.texts('.frame-link')) == {'mcu \u2190'},
-              'only the sensor board is shown')
-    page.script("document.querySelector('.frame:not([data-error])').click()")
-    fields = dict(page.script("return [...document.querySelectorAll('.fields > div')].map(field =>"
-                              "[field.querySelector('dt').textContent,"
-                              " [...field.querySelectorAll('dd')].map(each => each.textContent)])"))
-    assert fields['range_1'] == ['470 mm', 'bytes 4 \u2013 5']
-    assert fields['CRC'][1] == 'byte 14'
-    for pointed_at, highlighted, words in (
-            ('.fields > div:nth-child(5)', '.frame-detail .byte[data-lit]', 'd6 01'),    # 470
-            ('.frame-detail .byte:nth-child(5)', '.fields [data-lit] dt', 'range_1')):
-        page.wait(lambda page: page.texts(highlighted) == [words], f'{words} is highlighted',
-                  doing=lambda: page.hover(pointed_at))
-    page.click('#card-wire > summary')
-
-
-_GAUGE = """
-from serial_communication.boards.description import Description, Field, Service, Topic
-
-DESCRIPTION = Description(
-    'gauge', __name__, lambda sent, parameters: None, 'rain gauge',
-    topics=(Topic('~rain', 'std_msgs/Float32', card='Weather'),
-            Topic('~sun', 'sensor_msgs/Range', card='Weather'),
-            Topic('~breeze', 'geometry_msgs/Vector3')),
-    services=(Service('~tilt', 'serial_communication/Lift', 'tilt the funnel', (
-                  Field('distance', 'constructor', maximum=30, preset=3),
-                  Field('direction', choices=(('\u25b2 out', 0), ('\u25bc in', 1))))),
-              Service('~empty', 'std_srvs/Trigger', 'empty', confirm='Its water runs out.'),
-              Service('~unknown', 'nowhere/Type', 'unknown')))
-"""
-PARAMETERS = {
-    '~boards': ['wet_gauge', 'not_installed'],
-    # A row's name that the bridge itself would refuse.
-    '~bus/functions': {'pump': {'cmd2': 48, 'srv_type': 'std_srvs/SetBool'},
-                       HOSTILE: {'cmd2': 49, 'srv_type': 'std_srvs/Trigger'}}}
-MESSAGES = {
-    '~rain': Float32(4.5), '~sun': Range(min_range=0, max_range=2, range=0.5),
-    '~breeze': Vector3(1, 2, 3), '~wind': Vector3(1.5, -2.25, 1.25e-9),
-    '~colour': ColorRGBA(1, 2, 3, 4), '~motto': String('<b>semper idem</b>'),
-    '~big': Int64(2 ** 43), '~bigger': Int64(2 ** 63 - 1), '~huge': Float64(1.7e308),
-    '~least': Float64(-1.7e308), '~level': Float64(1e300),
-    # Limits that are not finite, as another program may publish them.
-    '~odd': Range(min_range=float('nan'), max_range=float('inf'), range=0.25)}
-
-
-def statuses(number):
-    """What the links report; some of it grows with the number."""
-    causes = {'constructor': str(number), '__proto__': str(number), 'x' * 5000: '5',
-              'square': '\u00b2'}
-    values = {'constructor': {**{f'{cause} errors': count for cause, count in causes.items()},
-                              'port': 'p' * 5000, 'timeouts': 't' * 5000},
-              'bus': {'port': HOSTILE, HOSTILE: HOSTILE, f'{HOSTILE} errors': '3'},
-              'gauge': {'port': 'none'}}
-    words = {'constructor': 'm' * 5000, 'bus': HOSTILE, 'gauge': 'ready'}
-    return [DiagnosticStatus(name=f'odd: {link} link', message=words[link],
-                             values=list(starmap(KeyValue, pairs.items())))
-            for link, pairs in values.items()]
-
-
-class SimulatedBridge:
-    """A bridge that this process simulates, with custom rows and a board of another package.
-
-    Attributes:
-        asked: the calls of its services.
-        panel: a panel for it, with commands.
-    """
-
-    def __init__(self, folder, stack):
-        self.asked = []
-        (folder / 'wet_gauge').mkdir()
-        (folder / 'wet_gauge' / '__init__.py').write_text(_GAUGE)
-        for name, value in PARAMETERS.items():
-            rospy.set_param(name, value)
-        self._topics = {name: rospy.Publisher(name, type(message), queue_size=1) for name, message
-                        in [*MESSAGES.items(), ('/diagnostics', DiagnosticArray())]}
-        for topic in self._topics.values():
-            stack.callback(topic.unregister)
-        for name, kind in ('~pump', SetBool), ('~tilt', Lift), ('~empty', Trigger):
-            stack.callback(rospy.Service(name, kind, getattr(self, '_' + name[1:])).shutdown)
-        self._numbers = count()
-        stack.callback(rospy.Timer(rospy.Duration(0.05), self._publish).shutdown)
-        self.panel = stack.enter_context(Panel(
-            '--control', '--token', TOKEN, '--node', rospy.get_name(), name='panel_simulated',
-            environment={'PYTHONPATH': f'{folder}:{os.environ["PYTHONPATH"]}'}))
-
-    def _publish(self, _event):
-        for name, message in MESSAGES.items():
-            self._topics[name].publish(message)
-        self._topics['/diagnostics'].publish(
-            DiagnosticArray(status=statuses(next(self._numbers))))
-
-    def _pump(self, request):
-        self.asked.append(request.data)
-        return SetBoolResponse(request.data, 'the pump runs' if request.data
-                               else Outcome(NOT_SENT, 'it is empty').text)
-
-    def _tilt(self, request):
-        self.asked.append((request.direction, request.distance))
-        return LiftResponse(success=True)
-
-    def _empty(self, _request):
-        self.asked.append('empty')
-        return TriggerResponse(True, 'it is dry')
-
-
-@pytest.fixture(scope='module')
-def bridge(core, tmp_path_factory):
-    with contextlib.ExitStack() as stack:
-        yield SimulatedBridge(tmp_path_factory.mktemp('packages'), stack)
-
-
-@pytest.fixture
-def custom_page(chromium, bridge):
-    """The page of a simulated bridge."""
-    bridge.asked.clear()
-    chromium.open('about:blank')
-    chromium.open(bridge.panel.url)
-    chromium.wait_for_text('#connection', 'live')
-    chromium.focus()
-    yield chromium
-    assert chromium.errors() == []
-
-
-def test_custom_topics_appear_and_vanish(custom_page):
-    page = custom_page
-    card = '[data-custom="~wind"] '
-    page.wait_for_text('[data-reading="~wind:y"] .number', '\N{MINUS SIGN}2.25')
-    assert page.text('[data-reading="~wind:x"] .number') == '1.5'
-    assert page.text('[data-reading="~wind:z"] .number') == '1.25e\N{MINUS SIGN}9'
-    assert len(page.all(card + 'canvas')) == 1      # the parts of one vector
-    page.wait_for_text('[data-reading="~colour:a"] .number', '4')
-    assert len(page.all('[data-custom="~colour"] canvas')) == 4
-    page.wait_for_text('[data-reading="~motto:data"] .number', '<b>semper idem</b>')
-    assert not page.all('[data-custom="~motto"] canvas')
-    page.wait_for_text('[data-reading="~odd:range"] .number', '0.250')
-    later = rospy.Publisher('~later', Float32, queue_size=1, latch=True)
-    later.publish(7.0)
-    page.wait_for_text('[data-reading="~later:data"] .number', '7')
-    later.unregister()
-    page.wait(lambda page: not page.all('[data-custom="~later"]'), 'the card vanishes')
-    # Those of a board of another package: one card for two, a value with limits as a bar.
-    weather = '[data-custom="Weather"] '
-    page.wait_for_text(weather + '[data-reading="~rain:data"] .number', '4.5')
-    page.wait_for_text(weather + '[data-range="~sun:range"] .number', '0.500 m')
-    page.wait_for_text('[data-custom="~breeze"] [data-reading="~breeze:y"] .number', '2')
-
-
-def test_extreme_numbers_and_names_do_no_harm(custom_page):
-    page = custom_page
-    for name, text in (('big', str(2 ** 43)), ('bigger', str(2 ** 63 - 1)),
-                       ('huge', '1.7e+308'), ('least', '\N{MINUS SIGN}1.7e+308')):
-        page.wait_for_text(f'[data-reading="~{name}:data"] .number', text)
-    page.wait_for_updates(20)       # so that all are drawn
-    card = '[data-link="constructor"] '
-    for cause in ('constructor', '__proto__'):
-        page.wait(lambda page, cause=cause: int(page.text(
-            f'{card} [data-cause="{cause}"] b') or 0) > 0, f'{cause} is counted')
-    assert 'function' not in page.text(card)
-    assert page.script('return document.documentElement.scrollWidth <= innerWidth')
-    with phone(page):
-        page.wait(lambda page: page.script(
-            'return document.documentElement.scrollWidth') == PHONE[0], 'it fits')
-
-
-def test_a_custom_function_is_offered_and_hostile_names_are_shown_as_text(custom_page, bridge):
-    page, form = custom_page, '[data-service="~pump"] '
-    page.wait(lambda page: page.all(form + 'button'), 'the function is offered')
-    for outcome in ('refused', 'done'):
-        press(page, form + 'button',
-              lambda page: page.attribute('.answers li', 'data-outcome') == outcome, outcome)
-        page.click(form + 'input')
-    assert bridge.asked == [False, True]
-    answers = page.text('.answers')
-    assert 'the pump runs' in answers and 'it is empty' in answers
-    for place in '.summary', '.port', 'legend':
-        assert any(HOSTILE in each for each in page.script(
-            'return [...document.querySelectorAll(arguments[0])].map(e => e.textContent)',
-            place)), place
-    assert 'pwned' not in page.title
-    assert page.all('main img') == page.all('main script') == []
 
 
 PHONE = (390, 844)
@@ -530,70 +243,6 @@ def test_on_a_phone_each_part_is_a_tab_and_stop_always_in_sight(control_page, ro
 # -- commands ---------------------------------------------------------------------------------
 
 
-def test_a_wrong_amount_moves_nothing_and_a_double_click_moves_once(control_page, robot):
-    up, amount = '[data-service="~lift"] button', '[data-service="~lift"] input'
-    for value in ('', '0', '256', '2.5', '20'):
-        control_page.script('document.querySelector(arguments[0]).value = arguments[1]', amount,
-                            value)
-        if value != '20':
-            control_page.click(up)
-            assert control_page.all(amount + ':invalid')
-    control_page.wait_for_updates(15)
-    assert not robot.lift_requests
-    control_page.wait(lambda page: page.all(up + ':enabled'), 'it can be pressed')
-    press_until_done(control_page, robot, up, bus.Reply(bus.OK), control_page.double_click)
-    control_page.wait(lambda page: page.all(up)[0].is_enabled(), 'the button is enabled again')
-    assert [request.data for request in robot.lift_requests] == [bytes((0, 20))]
-    assert 'lift up 20 mm done' in control_page.text('.answers li')
-
-
-def test_the_outcome_is_not_known_if_the_connection_is_lost(control_page, robot, network):
-    up = '[data-service="~lift"] button'
-
-    def lost():
-        settle(PACKAGE, robot.bus)
-        robot.bus.forget()
-        robot.bus.script.clear()
-        robot.bus.script.append(b'')        # no answer until the timeout, a second later
-        control_page.wait(lambda page: page.all(up + ':enabled'), 'it can be pressed')
-        control_page.click(up)
-        # Without a question to the page, which may take as long.
-        with contextlib.suppress(AssertionError):       # a stall kept it back
-            until(lambda: robot.lift_requests, 'the request arrives', 10.0)
-        with network.cut():
-            control_page.wait_for_text('#connection', 'no connection')
-        control_page.wait_for_text('#connection', 'live')
-        until(lambda: control_page.all('[data-service="~lift"] button')[0].is_enabled(),
-              'it is over')
-        # Or the machine stalled, and the timeout was over before the connection was lost.
-        return 'the connection was lost before the answer was received' in control_page.text(
-            '.answers li')
-    again_if_stalled(lost)
-    control_page.errors()      # the console reports the lost connection, as it should
-
-
-def test_a_custom_command_is_a_form_with_its_limits(control_page, robot):
-    form = '[data-service="~gripper"] '
-    assert [each.replace('\n', ' ') for each in control_page.texts(form + 'label')] == [
-        'x \N{MINUS SIGN}10 \u2026 10', 'y 0 \u2026 50', 'z 0 \u2026 3']
-
-    def fill(*values):
-        control_page.script("document.querySelectorAll(arguments[0] + 'input').forEach("
-                            "(input, at) => { input.value = arguments[1][at]; })", form, values)
-        control_page.click(form + 'button')
-    for values in (('', '', ''), ('-2.5', '50', ''), ('-2.5', '50.1', '3'), ('-2.5', '50', '2.5')):
-        fill(*values)
-        assert len(control_page.all(form + 'input:invalid')) == max(1, values.count(''))
-    control_page.wait_for_updates(15)
-    assert GRIPPER not in robot.car.wire
-
-    def send():
-        if GRIPPER not in robot.car.wire and control_page.all(form + 'button:enabled'):
-            fill('-2.5', '50', '3')
-    until(lambda: GRIPPER in robot.car.wire, 'the board receives it', doing=send, every=0.3)
-    wait_for_answer(control_page, 'gripper -2.5 50 3 sent')
-
-
 def test_a_setting_is_a_form_with_a_slider_beside_the_boards_own_value(control_page, robot):
     form = '[data-service="~settings/arduino/kp"] '
     number, slider = form + 'input[type=number]', form + 'input[type=range]'
@@ -627,72 +276,6 @@ def test_a_setting_is_a_form_with_a_slider_beside_the_boards_own_value(control_p
     assert value_of(number) == 2.5
 
 
-def test_a_page_that_only_looks_says_so_and_how_to_get_commands(page):
-    page.wait(lambda page: 'This page only looks' in page.text('#card-commands'), 'it is shown')
-    text = page.text('#card-commands')
-    assert '--control' in text and 'control:=true' in text and 'tunnel' in text
-    assert not any(each.is_displayed() for each in page.all('#stop, #pad, [data-service]'))
-
-
-def test_calibration_needs_a_confirmation(control_page, robot):
-    packet, form = arduino.encode(arduino.ImuCalibration()), '[data-service="~calibrate_imu"] '
-    open_dialog(control_page, form)
-    control_page.click('#stop')
-    release_stop(control_page)       # beside the dialog
-    control_page.click(form + 'dialog button:last-of-type')
-    assert packet not in robot.car.raw_commands
-    robot.sends = False          # as a board that calibrates
-    try:
-        press(control_page, form + '> .controls button',
-              lambda _page: packet in robot.car.raw_commands, 'the board has received it',
-              lambda _button: confirm(control_page, form))
-        control_page.wait(lambda page: 'calibrating for' in page.text(form + '.words'),
-                          'the elapsed time is shown')
-    finally:
-        robot.sends = True
-    control_page.wait(lambda page: page.text(form + '.words') == '', 'the calibration is over')
-
-
-def test_a_reset_is_asked_for_and_a_lent_link_takes_no_command(control_page, robot):
-    reset = '[data-service="~arduino/reset"] '
-    open_dialog(control_page, reset)
-    assert 'The car stops' in control_page.text(reset + 'dialog')
-    control_page.click(reset + 'dialog button:last-of-type')
-    assert not any('reset' in each for each in control_page.texts('.answers li'))
-    press(control_page, reset + '> .controls button',
-          lambda page: 'reset the car refused' in page.text('.answers li'),
-          'a pseudo terminal has no line for it', lambda _button: confirm(control_page, reset))
-    assert 'has no control lines' in control_page.text('.answers li')
-    release = rospy.ServiceProxy(NODE + '/arduino/release', Release)
-
-    def reasons(page):
-        return [page.text(f'[data-service="~{link}/reset"] .reason') for link in ('arduino', 'mcu')]
-    until(lambda: release('me', 10.0).success, 'it is lent', every=0.3)
-    try:
-        control_page.wait(lambda page: reasons(page) == ['the arduino link is lent to me', ''],
-                          'the reason is beside the commands of this link only')
-        assert not control_page.all(reset + 'button')[0].is_enabled()
-    finally:
-        release('me', 0.0)
-    control_page.wait_for_text(reset + '.reason', '')
-
-
-def test_text_for_the_led_is_sent_and_the_reply_of_a_function_shown_field_by_field(control_page,
-                                                                                   robot):
-    brake = '[data-service="~led"] button:nth-of-type(3)'
-
-    def show_brake():       # again: a bridge that has stalled drops it, and nothing is answered
-        if control_page.all(brake + ':enabled'):
-            control_page.click(brake)
-    until(lambda: arduino.LedCommand('brake') in robot.car.commands(), 'the board has received it',
-          doing=show_brake, every=0.7)
-    wait_for_answer(control_page, 'LED brake sent')
-    press_until_done(control_page, robot, '[data-service="~weigh"] button',
-                     bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841')))
-    assert control_page.texts('.answers li:first-child .reply div') == [
-        'environment.smoke\n1234', 'environment.temperature\n23', 'environment.humidity\n0']
-
-
 def test_stop_is_sent_as_soon_as_it_is_pressed_and_once(control_page):
     """A touch that slips or stays, or of a second finger, makes no click."""
     sent = control_page.script("""
@@ -710,23 +293,6 @@ def test_stop_is_sent_as_soon_as_it_is_pressed_and_once(control_page):
         return counts;""")
     assert sent == [1, 1]
     release_stop(control_page)
-
-
-def test_stop_is_sent_also_while_no_update_is_received(control_page, control_panel):
-    shown = watch_texts(control_page, '#trouble')
-    with suspended(control_panel.process.pid):
-        # The page itself looks and clicks, since after 3 s it gives the connection up.
-        control_page.script_until_done("""
-            const [done] = arguments, timer = setInterval(() => {
-              if (document.querySelector('#connection').textContent !== 'no connection') return;
-              clearInterval(timer);
-              document.querySelector('#stop').click();
-              done();
-            }, 20);""")
-        control_page.wait(lambda page: 'STOP: no answer' in ''.join(shown()), 'it says so')
-        assert control_page.attribute('#trouble', 'data-stopped') is None       # it is red
-    release_stop(control_page)
-    control_page.errors()       # the page may have given up the connection
 
 
 def test_stop_holds_against_another_program_until_it_is_released(control_page, panel, robot):
@@ -858,26 +424,6 @@ def test_whatever_ends_a_hold_stops_the_car(control_page, robot, network):
     control_page.errors()       # it was frozen, and without a connection
 
 
-def test_a_panel_that_sends_no_updates_stops(control_page, robot, control_panel):
-    """Nor does the page show a false reason when the panel continues."""
-    troubles = watch_texts(control_page, '#trouble')
-    words = watch_texts(control_page, '#pad-words')
-    hold(control_page, robot)
-    with suspended(control_panel.process.pid):
-        control_page.wait(lambda page: page.attribute('#pad', 'data-held') is None, 'the hold ends')
-        assert any(each.startswith('stopped: ') for each in words())
-        until(lambda: robot.car.speeds[-1] == 0, 'the bridge stops the car')
-        control_page.wait(lambda page: re.search(
-            r'for ([6-9]\.|\d\d )', page.text('#trouble')), 'it gave up and retries')
-    control_page.wait_for_text('#connection', 'live')
-    wait_until_stopped(robot, control_page)
-    control_page.release()
-    shown = ' '.join(troubles())
-    assert 'no connection to the panel' in shown
-    assert 'pages are open' not in shown and 'token' not in shown
-    control_page.errors()    # the connections that it tried
-
-
 def test_arrow_keys_drive(control_page, robot):
     control_page.script("document.getElementById('pad').focus()")
 
@@ -939,11 +485,6 @@ def test_which_keys_drive_and_what_else_stops(page):
         'wait 20000': DRIVING})
 
 
-def test_the_pad_follows_only_the_pointer_that_has_pressed_it(page):
-    check_pads(page, {'pointer down 1, pointer move 1 2': RIGHT_AHEAD,
-                      'pointer down 1, pointer move 2 2': DRIVING})
-
-
 # -- outages ----------------------------------------------------------------------------------
 
 
@@ -987,24 +528,6 @@ def test_the_page_shows_a_restart_of_the_master(control_page, robot, core):
     page.wait(lambda page: page.all('.frame'), 'serial_msg is received')
     page.click('#card-wire > summary')
     page.errors()       # the panel starts again, too, and refuses connections for a moment
-
-
-def test_the_page_reconnects_after_a_restart_of_the_panel(chromium, robot):
-    port = free_port()
-    first = Panel(port=port, name='panel_short')
-    chromium.open(first.url)
-    ticks = '[data-reading="~ticks:ticks"]'
-    wait_for_attribute(chromium, ticks, 'data-state', 'fresh')
-    first.end()
-    chromium.wait(lambda page: 'no connection to the panel' in page.text('#trouble'),
-                  'the page shows it')
-    wait_for_attribute(chromium, ticks, 'data-state', 'stale')
-    second = Panel(port=port, name='panel_short')
-    chromium.wait_for_text('#connection', 'live')
-    wait_for_attribute(chromium, ticks, 'data-state', 'fresh')
-    chromium.open('about:blank')    # or the page tries to connect after the end
-    chromium.errors()               # the console reports the refused connections, as it should
-    assert second.end() == 0
 
 
 def serve(content):

@@ -2,7 +2,6 @@
 """Boards that announce their custom messages: what they add appears, changes and goes while the
 bridge runs, and nothing else notices."""
 import os
-import re
 import shutil
 import struct
 import unittest
@@ -17,7 +16,6 @@ from boards import (PACKAGE, Bridge, BusBoard, CarBoard, Diagnostics, Line, Roso
                     Topic, command_topic, own_folder, service, until)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.announcement import TYPE, chunks_of
 from serial_communication.msg import Ticks
 
@@ -207,47 +205,7 @@ class AnnouncedTest(unittest.TestCase):
         self.diagnostics.wait_for('arduino', lambda status: status.keys['announced'] == '',
                                   'no row')
 
-    def test_rows_that_may_not_be_are_left_out_with_a_line_each(self):
-        row = '{type: %d, ros_type: %s, layout: "<H", fields: [data]}\n'
-        reasons = {
-            'imu: ' + row % (50, 'std_msgs/UInt16'): 'announced/imu is .imu.*has the name of ~imu',
-            'a: ' + row % (10, 'std_msgs/UInt16'): 'announced/a/type is 10 .int., may be a whole',
-            'b: ' + row % (51, 'std_msgs/Uint16'): 'announced/b/ros_type is .*not an installed',
-            'c: {typ: 5}\n': 'announced/c/typ is 5 .*not a key of a row',
-            'd: {type: 5\n': 'line 5 of the announcement is left out',
-            'e: ' + row % (33, 'std_msgs/UInt16'): 'announced/e/type is 33 .*already the type of l',
-            'mine: ' + row % (42, 'std_msgs/UInt16'):
-                'row mine is left out: the parameter arduino/messages/mine has the same name',
-            'f: ' + row % (40, 'std_msgs/UInt16'):
-                'row f is left out: the parameter arduino/messages/mine has the same type',
-        }
-        same = 'same: {fields: [data], layout: "<?", ros_type: std_msgs/Bool, type: 41}\n'
-        bad = list(reasons)
-        self.rosout.forget()
-        text = ''.join(bad[:5]) + LEVEL + ''.join(bad[5:]) + same + FORCE
-        self.rosout.wait_for(PACKAGE, 'arduino: announces level, force', doing=self.say(text))
-        warnings = [line for line in self.rosout.lines(PACKAGE, '', 4) if 'left out' in line]
-        for reason in reasons.values():
-            self.assertEqual(len([line for line in warnings if re.search(reason, line)]), 1,
-                             (reason, warnings))
-        self.assertEqual(len(warnings), len(reasons), warnings)
-        self.until_parameter_has('level', 'force')
-        force = self.topic('force', Float32)
-        force.first(doing=self.send(32, b'\1\0'))
-
     # -- the other boards --------------------------------------------------------------------------
-
-    def test_the_sensor_board_announces_too(self):
-        text = FIRMWARE.replace('nano_car', 'esp') + LEVEL.replace('}', ', invalid: 65535}')
-        line = self.announce(text, 'mcu')
-        self.assertEqual(line, 'mcu: announces level (firmware esp 1.1.0)')
-        level = Topic('/mcu/level', UInt16)
-        self.addCleanup(level.close)
-        level.first(doing=lambda: self.sensors.write(       # 65535 is no value
-            mcu.encode_raw(33, 0, b'\xff\xff') + mcu.encode_raw(33, 1, struct.pack('<H', 300))))
-        self.assertEqual(level.messages[0].data, 300)
-        self.assertEqual(set(self.parameter('mcu')), {'level'})
-        self.assertEqual(bytes(self.sensors.wire), b'')
 
     def test_services_and_polls_of_a_bus_board_appear_change_and_go(self):
         before = self.bus.text

@@ -326,8 +326,7 @@ def calibrates(node=PACKAGE):
     """Whether the service succeeds; it is refused after a stall of this machine."""
     try:
         service('/%s/calibrate_imu' % node, Empty)()
-    except rospy.ServiceException as error:
-        assert 'status 253 (not sent)' in str(error), error
+    except rospy.ServiceException:
         return False
     return True
 

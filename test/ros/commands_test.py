@@ -1,13 +1,8 @@
 #!/usr/bin/python3
 """Commands that may be old are refused, of every kind: latched long ago, received on an old
-connection, or old by their stamps. The campaign has more of each, with exact counts. And what may
-delay a heartbeat."""
+connection, or old by their stamps."""
 import re
-import signal
-import sys
 import threading
-import unittest
-from unittest import mock
 
 import rospy
 import rostest
@@ -16,10 +11,8 @@ from std_msgs.msg import String, UInt8
 
 from boards import PACKAGE, PATIENCE, BoardsTest, CarBoard, until
 from publishers import FakePublisher
-from serial_communication.link.sparing_log import SparingLog
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.ros import commands
 
 NODE = '/' + PACKAGE
 OWN = {'heater': {'type': 60, 'direction': 'to_board', 'ros_type': 'sensor_msgs/Temperature',
@@ -27,15 +20,6 @@ OWN = {'heater': {'type': 60, 'direction': 'to_board', 'ros_type': 'sensor_msgs/
        'horn': {'type': 61, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt8',
                 'layout': '<B', 'fields': ['data']}}
 HOUR = 3600.0
-# The node, which prints on a signal how many objects a full garbage collection looks at, and how
-# many not.
-COUNTING_NODE = """
-import gc, signal, sys
-from serial_communication.ros.node import main
-signal.signal(signal.SIGUSR1, lambda *_: print(
-    len(gc.get_objects()), 'objects, and', gc.get_freeze_count(), flush=True))
-del sys.argv[1]
-main()"""
 # The topic, an old command and its words in the log, a new command and its packet.
 KINDS = (
     ('speed', SpeedPWMCommand(value=500), 'speed 500', SpeedPWMCommand(value=501),
@@ -132,62 +116,6 @@ class CommandsTest(BoardsTest):
         driver = self.publisher().connected()
         self.assert_drives(driver, 300, ago=HOUR)
         self.assert_drives(driver, 301, ago=-HOUR)
-
-
-class HeartbeatTest(BoardsTest):
-    """A car, and a bridge."""
-
-    def test_a_full_garbage_collection_delays_no_heartbeat(self):
-        """It holds Python's lock, for 24 ms with all that is imported."""
-        car = self.plug('arduino', CarBoard)
-        bridge = self.start_bridge(before=(sys.executable, '-c', COUNTING_NODE), parameters={
-            'arduino/port': self.lines['arduino'].near})
-        until(car.heartbeats, 'a heartbeat')
-        bridge.process.send_signal(signal.SIGUSR1)
-        found = re.match(r'(\d+) objects, and (\d+)', bridge.wait_for(' objects, and '))
-        looked_at, others = map(int, found.groups())
-        self.assertLess(looked_at, others / 10)
-
-
-class WithoutMaster(unittest.TestCase):
-    """The master does not answer when the bridge subscribes."""
-
-    def test_every_publisher_counts_as_older_than_the_subscription(self):
-        said, taken = [], []
-        log = SparingLog('arduino', rospy)
-        log.warn = lambda cause, text: said.append(text)
-        with mock.patch.object(commands.rosgraph, 'Master', side_effect=OSError('no route')):
-            commands.CommandTopic('/horn', UInt8, lambda message: taken.append(message.data),
-                                  lambda message: 'horn %d' % message.data, log, 0.5)
-        publisher = FakePublisher('/late', '/horn', UInt8, latching=True, latched=UInt8(1))
-        self.addCleanup(publisher.close)
-        until(lambda: said, 'a warning')
-        self.assertIn('horn 1 refused: /late latches /horn', said[0])
-        publisher.say(UInt8(2))
-        until(lambda: taken == [2], 'the second one')
-
-
-class ClosedTest(unittest.TestCase):
-    """A row is taken down while a command of it is being sent."""
-
-    def test_what_is_being_sent_is_sent_before_close_returns(self):
-        sending, goes_on, order = threading.Event(), threading.Event(), []
-
-        def send(message):
-            sending.set()
-            goes_on.wait(PATIENCE)
-            order.append('sent')
-        topic = commands.CommandTopic('/claw', UInt8, send, str, SparingLog('arduino', rospy), 0.0)
-        publisher = FakePublisher('/new', '/claw', UInt8)
-        self.addCleanup(publisher.close)
-        publisher.say(UInt8(1))
-        self.assertTrue(sending.wait(PATIENCE))
-        closing = threading.Thread(target=lambda: topic.close() or order.append('closed'))
-        closing.start()
-        closing.join(0.2)       # without the fix it is over by now
-        goes_on.set()
-        closing.join(PATIENCE)
-        self.assertEqual(order, ['sent', 'closed'])
 
 
 if __name__ == '__main__':

@@ -1,12 +1,9 @@
 #!/usr/bin/python3
 """Subscribers that stop reading, over real TCP connections, while others continue."""
 import io
-import os
-import select
 import socket
 import struct
 import unittest
-from types import SimpleNamespace
 from unittest import mock
 from xmlrpc.client import ServerProxy
 
@@ -14,9 +11,6 @@ import rosgraph
 import rospy
 import rostest
 from rosgraph.network import encode_ros_handshake_header, read_ros_handshake_header
-from rospy.exceptions import TransportTerminated
-from rospy.impl.tcpros_base import TCPROSTransport
-from rospy.impl.tcpros_pubsub import TCPROSPub
 from std_msgs.msg import String
 
 from boards import PACKAGE, PATIENCE, Topic, Waiter, until
@@ -76,7 +70,7 @@ class SlowSubscriber(unittest.TestCase):
 
     def slow_subscribers(self):
         """The connections whose sockets are full."""
-        return [each for each in self.publisher.impl.connections if each._is_slow]
+        return [each for each in self.publisher.impl.connections if each._rest]
 
     def listen(self):
         """Add another subscriber, which reads."""
@@ -118,21 +112,6 @@ class SlowSubscriber(unittest.TestCase):
         self.assertTrue(self.slow.read() == _BIG)
         self.assertEqual([self.slow.read(), self.slow.read()], ['8', '9'])
 
-    def test_a_slow_subscriber_does_not_delay_another_slow_one(self):
-        self.begin(queue_size=2)
-        other = RawSubscriber(self.topic, '/another')
-        self.addCleanup(other.socket.close)
-        until(lambda: self.publisher.get_num_connections() == 2, 'both are connected')
-        self.publish(_BIG)
-        self.assertEqual(len(self.slow_subscribers()), 2)
-        self.publish('behind it')
-        self.assertTrue(other.read() == _BIG)
-        self.assertEqual(other.read(), 'behind it')
-        until(lambda: len(self.slow_subscribers()) < 2, 'everything is sent to this one')
-        self.assertEqual(len(self.slow_subscribers()), 1, 'the first one has not read a byte')
-        self.assertTrue(self.slow.read() == _BIG)
-        self.assertEqual(self.slow.read(), 'behind it')
-
     def test_a_subscriber_that_disconnects_is_removed_and_the_others_continue(self):
         self.begin(queue_size=2)
         self.publish(_BIG)
@@ -140,73 +119,6 @@ class SlowSubscriber(unittest.TestCase):
         until(lambda: not self.publisher.get_num_connections(), 'it is forgotten',
               doing=lambda: self.publish('anybody?'))
         self.listen().first(lambda m: m.data == 'after', doing=lambda: self.publish('after'))
-
-    def tearDown(self):
-        self.doCleanups()
-        until(lambda: not direct._sender._slow, 'nothing is kept')
-
-
-_NUMBER = 500    # of a descriptor that nothing else of this process gets
-
-
-class ReusedDescriptor(unittest.TestCase):
-    """A connection is closed at any time, and another one gets the number of its descriptor."""
-
-    def setUp(self):
-        self.addCleanup(direct._sender._slow.clear)     # of a test that fails
-
-    def connection(self):
-        """A connection with this number, and its other end."""
-        near, far = socket.socketpair()
-        self.addCleanup(far.close)
-        far.settimeout(PATIENCE)
-        with near:
-            os.dup2(near.fileno(), _NUMBER)
-        transport = TCPROSTransport(TCPROSPub('/any', String), '/any')
-        transport.set_socket(socket.socket(fileno=_NUMBER), '/subscriber')
-        self.addCleanup(transport.close)
-        return transport, direct.DirectConnection(transport, 5), far
-
-    def test_one_that_is_closed_before_its_rest_is_queued_leaves_the_next_alone(self):
-        transport, connection, _far = self.connection()
-        take, others = direct._sender.take, []
-
-        def close_first(fd, connection):
-            transport.close()
-            others.append(self.connection())
-            take(fd, connection)
-        data = bytes(32 << 20)
-        with mock.patch.object(direct._sender, 'take', close_first), \
-                self.assertRaises(TransportTerminated):
-            connection.write_data(data)
-        self.assertEqual(direct._sender._slow, {})
-        (_transport, other, far), = others
-        other.write_data(data)
-        self.assertEqual(direct._sender._slow, {_NUMBER: other})
-        received = 0
-        while received < len(data):
-            received += len(far.recv(1 << 20))
-        until(lambda: not direct._sender._slow, 'everything is sent')
-
-    def test_one_that_leaves_does_not_remove_the_next(self):
-        sender = direct._Sender()
-        _transport, next_one, _far = self.connection()
-        old, takes = SimpleNamespace(), []
-
-        class Switching(dict):
-            """After a look at it, the interpreter lets another thread run for a moment."""
-
-            def get(self, key, default=None):
-                found = super().get(key, default)
-                if found is old:
-                    takes.append(Waiter(sender.take, _NUMBER, next_one))
-                    takes[0].join(0.2)
-                return found
-        sender._slow = Switching({_NUMBER: old})
-        sender.leave(_NUMBER, old)
-        takes[0].result()
-        self.assertEqual(sender._slow, {_NUMBER: next_one})
-        self.assertEqual(sender._poll.poll(0), [(_NUMBER, select.EPOLLOUT)])
 
 
 if __name__ == '__main__':

@@ -1,6 +1,5 @@
 #!/usr/bin/python3
-"""bridge.launch: ports on the command line, and simulated boards. fleet_test has its other
-arguments."""
+"""bridge.launch: ports on the command line, and simulated boards."""
 import os
 import signal
 import subprocess
@@ -82,6 +81,20 @@ class Arguments(unittest.TestCase):
     def test_a_wrong_value_of_sim_ends_the_launch_with_a_clear_error(self):
         with self.assertRaisesRegex(roslaunch.RLException, 'sim_is_true_false_or_avr/maybe'):
             self.parameters('sim:=maybe')
+
+    def test_simulated_robots_under_one_master_have_different_ports_and_names(self):
+        with tempfile.NamedTemporaryFile('w', suffix='.launch') as fleet:
+            robots = ''.join(f'''<group ns="robot_{number}">
+                <include file="$(find {PACKAGE})/launch/bridge.launch">
+                  <arg name="name" value="bridge"/> <arg name="sim" value="true"/>
+                </include></group>''' for number in range(3))
+            fleet.write(f'<launch>{robots}</launch>')
+            fleet.flush()
+            config = roslaunch.config.load_config_default([(fleet.name, [])], None)
+        ports = [each.value for name, each in config.params.items() if name.endswith('/port')]
+        self.assertEqual((len(ports), len(set(ports))), (9, 9), ports)
+        nodes = [each.namespace + each.name for each in config.nodes]
+        self.assertEqual((len(nodes), len(set(nodes))), (12, 12), nodes)
 
     def test_two_launches_use_different_folders_for_their_boards(self):
         folders = [os.path.dirname(self.ports('sim:=true')[0]) for _ in range(2)]

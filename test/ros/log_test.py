@@ -85,14 +85,6 @@ class FullPipe(Unwritable, BoardsTest):
         os.close(writing)
 
 
-class FullDisk(Unwritable, BoardsTest):
-    """A file on a full disk."""
-
-    def output(self):
-        self.descriptors.append(os.open('/dev/full', os.O_WRONLY))
-        return self.descriptors[-1]
-
-
 if __name__ == '__main__':
     rospy.init_node('log_test')
     rostest.rosrun(PACKAGE, 'log', '__main__')

@@ -5,12 +5,10 @@ import os
 import shutil
 import signal
 import subprocess
-import time
 import unittest
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
 
-import rosgraph
 import rosnode
 import rospy
 import rostest
@@ -85,15 +83,6 @@ class Mistakes(unittest.TestCase):
         self.assertIn('Traceback', output)
         self.assertTrue(output.rstrip().endswith('ZeroDivisionError: division by zero'), output)
 
-    def test_a_signal_ends_the_node_while_a_boards_code_hangs(self):
-        for number in signal.SIGINT, signal.SIGTERM:
-            bridge = Bridge('hangs', {'boards': ['hangs']})
-            self.addCleanup(bridge.kill)
-            begun = Path(self.folder, 'hangs.py.begun')
-            until(begun.exists, 'it hangs')
-            begun.unlink()
-            self.assertEqual(bridge.end(number)[1], 0, bridge.output())
-
     def test_names_remapped_to_the_same_name_end_the_node_with_one_line(self):
         with ThreadPool(2) as pool:
             results = pool.starmap(self.ended, [
@@ -107,32 +96,9 @@ class Mistakes(unittest.TestCase):
                                     'mcu/port': self.absent('mcu')})
         self.assert_one_line('/mcu/imu is the name of ~imu and of mcu/imu', *result)
 
-    def test_that_name_is_allowed_while_no_two_names_are_the_same(self):
-        bridge = Bridge('mcu', {'mcu/port': self.absent('mcu'), 'publish_tf': True})
-        bridge.wait_for('waiting for it')
-        self.assertTrue(bridge.alive)
-        self.assertEqual(bridge.end()[1], 0, bridge.output())
-
-    def test_under_roslaunch_the_mistake_is_logged_once_and_ctrl_c_ends_the_node(self):
-        def text():
-            with open(self.launch_output) as file:
-                return file.read()
-
-        until(lambda: 'bus/baud is 1 (int)' in text(), 'it is said')
-        # A node that ends would be started again within 12 s; most of these have already passed.
-        until(lambda: time.time() > os.path.getmtime(self.launch_output) + 12.0,
-              'the time passes', 20.0)
-        self.assertEqual(text().count('bus/baud is 1 (int)'), 1, text())
-        self.assertNotIn('process has died', text())
-        self.assertTrue(rosgraph.Master('/mistakes_test').lookupNode('/launched'))
-        self.launch.send_signal(signal.SIGINT)
-        self.assertEqual(self.launch.wait(PATIENCE), 0)
-        self.assertNotIn('escalating', text())
-        self.assertNotIn('Traceback', text())
-
 
 class Ended(BoardsTest):
-    """Two more ways to end a bridge whose car drives; the campaign has the signals."""
+    """A bridge whose car drives is ended."""
 
     def drive(self, **options):
         """Start a bridge, and wait until it drives."""
@@ -147,15 +113,6 @@ class Ended(BoardsTest):
     def assert_stopped(self):
         self.assertNotIn('Traceback', self.bridge.output())
         until(lambda: self.car.raws[-1:] == [SPEED_0_PACKET], 'SPEED 0 is the last packet')
-
-    def test_sighup_under_nohup_does_not_end_the_bridge(self):
-        # This is what nohup does; ignored signals are inherited.
-        self.drive(before=('sh', '-c', 'trap "" HUP; exec "$@"', 'nohup'))
-        self.bridge.process.send_signal(signal.SIGHUP)
-        self.car.forget()
-        self.car.wait_for_heartbeats(100)
-        self.assertEqual(self.bridge.end(signal.SIGTERM)[1], 0)
-        self.assert_stopped()
 
     def test_rosnode_kill_stops_the_car_and_ends_the_bridge(self):
         self.drive()

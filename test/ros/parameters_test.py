@@ -11,7 +11,6 @@ import rospy
 import rostest
 
 from boards import PACKAGE, PATIENCE, Bridge, until
-from latest_worker_test import LatestWorkerTest  # noqa: F401  run here, too, under one roscore
 from parameter_table_test import (ExternalBoards, Lines,  # noqa: F401
                                   ParameterTable)
 
@@ -25,19 +24,9 @@ WRONG = (
 )
 
 
-# Arguments of the command line that the parameter server cannot hold.
-NOT_HELD = (
-    ('_arduino/command_age:=9999999999', 'arduino/command_age is 9999999999 (int), may be a number '
-     'from 0 to 3600 (s)'),
-    ('_mcu/port:=null', 'mcu/port is None (NoneType), may be text'),
-    ('_mine:={1: 2}', 'mine is {1: 2} (dict), which ROS cannot hold: '),
-    ('_arduino/messages:={force: {', 'invalid command-line parameters: '),
-)
-
-
-def start_and_read(number, parameters, *arguments):
+def start_and_read(number, parameters):
     """Status and output of a bridge with these parameters, which ends by itself."""
-    bridge = Bridge('wrong_%d' % number, parameters, arguments)
+    bridge = Bridge('wrong_%d' % number, parameters)
     try:
         return bridge.process.wait(PATIENCE), bridge.output()
     except subprocess.TimeoutExpired:
@@ -58,15 +47,6 @@ class WrongParameters(unittest.TestCase):
             shown = '3 m' if value == 3.0 else repr(value)
             for words in f'parameter /wrong_{number}/{name} is {shown}', allowed, 'FATAL':
                 self.assertIn(words, line)
-            self.assertEqual(status, 1)
-
-    def test_what_the_parameter_server_cannot_hold_ends_the_node_with_a_line(self):
-        with ThreadPool(2) as pool:
-            results = pool.starmap(start_and_read, [
-                (number, {}, argument) for number, (argument, _) in enumerate(NOT_HELD)])
-        for (_argument, words), (status, output) in zip(NOT_HELD, results):
-            line, = [line for line in output.split('\n') if line.strip()]
-            self.assertIn(words, line)
             self.assertEqual(status, 1)
 
 
@@ -142,14 +122,6 @@ class Names(unittest.TestCase):
         self.assertIn('WARN', self.bridge.wait_for('no port is set'))
         self.assert_interface()
         self.assertTrue(self.bridge.alive)
-        self.assert_ends()
-
-    def test_an_unknown_name_is_a_warning(self):
-        self.start('bus', 'arduino', 'mcu', mcu__timeuot=3.0, publish_ft=True)
-        for name in 'mcu/timeuot', 'publish_ft':
-            line = self.bridge.wait_for('parameter /bridge/%s is unknown' % name)
-            self.assertIn('WARN', line)
-        self.assert_interface('bus', 'arduino', 'mcu')
         self.assert_ends()
 
 

@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from boards import (ERROR, NOT_SENT, OK, PACKAGE, SYNC_FRAME, Bridge, BusBoard, CarBoard,
                     Diagnostics, Line, SensorBoard, Topic, level_imu, own_folder, ranges, service,
                     until)
-from serial_communication.msg import McuStatus2, SerialMsg, Voltage
+from serial_communication.msg import McuStatus2, Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.srv import Lift
 
@@ -131,33 +131,6 @@ class AbsentAtStart(PortsTest):
         names = [{s.name for s in m.status if s.name.startswith(self.name)}
                  for m in self.diagnostics.messages]
         self.assertEqual(set.union(*names), {f'{self.name}: {link} link' for link in LINKS})
-
-
-class Cut(PortsTest):
-    """Lines that are cut, mended, and disturbed."""
-
-    name = 'cut'
-
-    def setUp(self):
-        for link in LINKS:
-            if not os.path.exists(self.lines[link].near):
-                self.plug(link)
-        self.boards['bus'].script.clear()
-        self.assert_flows()
-
-    def test_serial_msg_tells_which_connection_a_frame_belongs_to(self):
-        traffic = Topic('/serial_msg', SerialMsg)
-        self.addCleanup(traffic.close)
-
-        def connection(link):
-            return traffic.next(lambda m: m.link == link, doing=lambda: self.assert_flows(link)
-                                ).header.frame_id
-        before = {link: connection(link) for link in LINKS}
-        self.assertEqual(before, {link: connection(link) for link in LINKS})
-        self.unplug('mcu')
-        self.plug('mcu')
-        self.assertEqual(dict(before, mcu='connection %d' % (int(before['mcu'].split()[1]) + 1)),
-                         {link: connection(link) for link in LINKS})
 
 
 if __name__ == '__main__':

@@ -1,27 +1,20 @@
 #!/usr/bin/python3
 """Settings of boards: set with dynamic_reconfigure's own client and `dynparam`, over real ttys."""
-import math
 import os
 import shutil
 import subprocess
-import sys
 import unittest
-from types import SimpleNamespace
-from unittest import mock
 
 import dynamic_reconfigure.client
 import rospy
 import rostest
 
-from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Master, Rosout, again_if_stalled,
+from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Rosout, again_if_stalled,
                     own_folder, until)
 from serial_communication.boards.arduino import settings as read_settings
 from serial_communication.boards.arduino import wire
 from serial_communication.framing.announcement import chunks_of
 from serial_communication.framing.settings import SettingMessage, message_of
-from serial_communication.link.settings import BoardSettings
-from serial_communication.link.sparing_log import SparingLog
-from serial_communication.ros.settings import serve
 
 NAME = '/' + PACKAGE + '/settings/arduino'
 ROWS = {
@@ -138,19 +131,6 @@ class SettingsTest(unittest.TestCase):
         self.diagnostics.wait_for('arduino', lambda status: status.keys[
             'settings unconfirmed'] == '', 'all are confirmed')
 
-    def test_a_refused_value_makes_nothing_wanted(self):
-        rate = self.car.values[4]
-        self.until_published(lambda values: values.rate == rate)
-        self.assertEqual(self.client.update_configuration({'rate': math.nan}).rate, rate)
-        self.rosout.wait_for(PACKAGE, 'the setting rate cannot be nan')
-        before = self.car.values[3]
-        for value in not before, before:
-            self.client.update_configuration({'reverse': value})
-            until(lambda value=value: rospy.get_param(NAME + '/reverse', None) == value,
-                  'the next parameter')
-        self.assertFalse(rospy.has_param(NAME + '/rate'))
-        self.assertNotIn(4, [number for number, _ in self.car.settings()])
-
     def test_dynparam(self):
         def dynparam(*arguments):
             return subprocess.check_output(['rosrun', 'dynamic_reconfigure', 'dynparam',
@@ -178,123 +158,6 @@ class SettingsTest(unittest.TestCase):
         self.rosout.forget()
         self.rosout.wait_for(PACKAGE, 'announces nothing', doing=lambda: announce(''))
         until(lambda: set(self.client.get_configuration()) - {'groups'} == before, 'gain goes')
-
-    def test_an_announced_row_loses_against_one_of_the_parameters(self):
-        text = 'kp: {setting: 1, layout: "<h"}\n'
-        self.rosout.wait_for(PACKAGE, 'arduino/settings/kp has the same name, differs',
-                             doing=lambda: [self.car.say(chunk) for chunk in
-                                            chunks_of(text.encode(), 60)])
-
-
-class ServerTest(unittest.TestCase):
-    """The settings of a link in this process, without a board."""
-
-    def setUp(self):
-        self.name = rospy.resolve_name('~settings/arduino')
-        self.added = []
-
-    def tearDown(self):
-        self.end()
-        if rospy.has_param(self.name):
-            rospy.delete_param(self.name)
-
-    def start(self, rows):
-        """As a node starts."""
-        self.kinds, self.log = [], mock.Mock()
-        self.settings = BoardSettings(SparingLog('arduino', self.log), self.kinds.append,
-                                      lambda: None, lambda: 0.0)
-        self.added = [self.settings.add(row) for row in read_settings(rows)]
-        link = SimpleNamespace(name='arduino', board_settings=self.settings, log=self.log)
-        serve([link], rospy.get_param('~', {}),
-              SimpleNamespace(submit=lambda function: function()), self.log)
-
-    def end(self):
-        while self.added:
-            self.added.pop()()
-
-    def test_what_a_limit_is_rounded_to_is_a_parameter_of_the_next_start(self):
-        rows = {'angle': {'setting': 1, 'layout': '<f', 'minimum': -3.14159265,
-                          'maximum': 3.14159265}}
-        for limit, rounded in (-3.14159265, -3.1415927), (3.14159265, 3.1415927):
-            self.start(rows)
-            self.settings.want('angle', limit)
-            self.assertEqual(rospy.get_param(self.name + '/angle'), rounded)
-            self.end()
-            self.start(rows)
-            self.assertEqual(self.settings.shown()['angle'], (None, rounded, False))
-            self.end()
-
-
-class OtherBridges(unittest.TestCase):
-    """Bridges of their own."""
-
-    def setUp(self):
-        self.folder = own_folder()
-        self.addCleanup(shutil.rmtree, self.folder)
-
-    def bridge(self, parameters, **options):
-        bridge = Bridge('other', parameters, **options)
-        self.addCleanup(bridge.kill)
-        return bridge
-
-    def test_a_wrong_value_ends_the_node_with_one_line(self):
-        for value, words in (({'kp': 11.0}, 'settings/arduino/kp is 11.0 .*may be a number from 0'),
-                             ({'kp': 'fast'}, 'settings is .*may be values by link and name')):
-            bridge = self.bridge({'arduino/port': self.folder + '/none', 'arduino/settings': ROWS,
-                                  'settings': {'arduino': value}})
-            self.assertRegex(bridge.wait_for('parameter /other/settings'), words)
-
-    def test_without_dynamic_reconfigure_one_line_says_so_and_parameters_work(self):
-        line = Line(os.path.join(self.folder, 'car')).plug()
-        self.addCleanup(line.unplug)
-        car = TunableCar(line.far)
-        self.addCleanup(car.close)
-        hidden = os.path.join(self.folder, 'dynamic_reconfigure')
-        os.mkdir(hidden)
-        with open(os.path.join(hidden, '__init__.py'), 'w') as file:
-            file.write('raise ImportError("hidden by the test")\n')
-        path = os.environ.get('PYTHONPATH', '')
-        os.environ['PYTHONPATH'] = self.folder + ':' + path
-        try:
-            bridge = self.bridge({'arduino/port': line.near, 'arduino/settings': ROWS,
-                                  'settings': {'arduino': {'kp': 2.0}}})
-        finally:
-            os.environ['PYTHONPATH'] = path
-        bridge.wait_for('dynamic_reconfigure is not installed')
-        until(lambda: car.values[1] == 2.0, 'the parameter is used')
-        for number in (2, 3) * 20:
-            car.values[2] += 1
-            car.report(number)
-        car.wait_for_heartbeats(100)
-        self.assertEqual(bridge.output().count('dynamic_reconfigure'), 1)
-
-    def test_a_new_master_has_the_server_and_the_values(self):
-        line = Line(os.path.join(self.folder, 'car')).plug()
-        self.addCleanup(line.unplug)
-        car = TunableCar(line.far)
-        self.addCleanup(car.close)
-        master = Master().start()
-        self.addCleanup(master.end)
-        self.bridge({'arduino/port': line.near, 'arduino/settings': ROWS}, master=master.uri)
-        set_kp = [sys.executable, '-c', (
-            'import rospy, sys\n'
-            'from dynamic_reconfigure.client import Client\n'
-            'rospy.init_node("setter", anonymous=True)\n'
-            'client = Client("/other/settings/arduino", timeout=60)\n'
-            'print(client.update_configuration({"kp": float(sys.argv[1])}).kp)\n')]
-        environment = dict(os.environ, ROS_MASTER_URI=master.uri)
-
-        def answer(value):
-            return float(subprocess.check_output(set_kp + [str(value)], env=environment,
-                                                 timeout=90))
-
-        self.assertEqual(answer(2.0), 2.0)
-        until(lambda: master.server.hasParam('/other/settings/arduino/kp'), 'it is set')
-        master.end()
-        master.start()
-        until(lambda: master.server.hasParam('/other/settings/arduino/kp'), 'it is set again')
-        self.assertEqual(master.server.getParam('/other/settings/arduino/kp'), 2.0)
-        self.assertEqual(answer(3.0), 3.0)
 
 
 if __name__ == '__main__':

@@ -56,24 +56,9 @@ class Terminal:
             if hasattr(os, 'waitstatus_to_exitcode') else os.waitpid(self.pid, 0)[1] >> 8
         self._ended.set()
 
-    def resize(self, columns, rows):
-        """Change the size, as a user does with a window."""
-        self._set_size(self._far, columns, rows)
-
-    def press(self, key):
-        """Press a key: b'\\3' is Ctrl-C."""
-        os.write(self._far, key)
-
     def text(self):
         """Return all output so far, without colours."""
         return re.sub('\033\\[[0-9;?]*[A-Za-z]', '', self._output.decode(errors='replace'))
-
-    def screens(self):
-        """Return the rows of each screen that was drawn completely."""
-        drawn = self._output.decode(errors='replace').split('\033[H')[1:]
-        return [re.sub('\033\\[[0-9;?]*[A-Za-z]', '', each.split('\033[J')[0])
-                .replace('\r', '').split('\n')
-                for each in drawn if '\033[J' in each.replace('\033[2J', '')]
 
     def until(self, condition, what):
         """Wait until `condition()` is true, and return its value."""
@@ -85,12 +70,6 @@ class Terminal:
             assert time.monotonic() < deadline, f'not within {PATIENCE:g} s: {what}\n{self.text()}'
             assert not self._ended.is_set(), f'ended before: {what}\n{self.text()}'
             time.sleep(0.01)
-
-    def wait(self):
-        """Wait for the end of the program; return the seconds it took."""
-        began = time.monotonic()
-        assert self._ended.wait(PATIENCE), f'still running after {PATIENCE:g} s\n{self.text()}'
-        return time.monotonic() - began
 
     def close(self):
         """End the program if it still runs, after a failed test."""

@@ -44,27 +44,3 @@ def test_closed_standard_streams_cause_no_error():
                   f'os.execv({sys.executable!r}, ["python3", "-c", """{_PRINTS}"""])'.replace(
                       "print('a line', file=sys.{stream})", ''), stdin=subprocess.DEVNULL)
     assert done.wait(60) == 0
-
-
-@pytest.mark.parametrize('output, status, said', [
-    ('a pipe without a reader', 141, ''),
-    ('/dev/full', 1, 'monitor: its output cannot be written: No space left on device\n')])
-def test_an_output_that_cannot_be_written_ends_the_monitor_with_one_line_at_most(
-        output, status, said):
-    if output == '/dev/full':
-        writer = os.open(output, os.O_WRONLY)
-    else:
-        reader, writer = os.pipe()
-        os.close(reader)
-    # Without a master, its first line is that it waits for one.
-    monitor = subprocess.Popen(
-        [str(ROOT / 'scripts' / 'monitor')], stdin=subprocess.DEVNULL, stdout=writer,
-        stderr=subprocess.PIPE, universal_newlines=True,
-        env={**os.environ, 'ROS_MASTER_URI': 'http://localhost:1',
-             'PYTHONPATH': f'{ROOT}:{os.environ.get("PYTHONPATH", "")}'})
-    os.close(writer)
-    try:
-        assert monitor.communicate(timeout=60)[1] == said
-    finally:
-        monitor.kill()
-    assert monitor.returncode == status

@@ -45,35 +45,12 @@ def test_the_packages_have_the_names_of_the_ros_that_is_there(folder, distro, na
     assert ('catkin' in done.stdout.split()) == (distro is None)
 
 
-def test_a_package_of_a_ros_that_was_built_from_source_is_not_missing(folder):
-    for name in 'setup.bash', 'share/tf2_ros/package.xml':
-        (folder / 'noetic' / name).parent.mkdir(parents=True, exist_ok=True)
-        (folder / 'noetic' / name).touch()
-    done = run(folder, 'prefixes=("$PWD/noetic"); missing_packages run')
-    assert 'ros-noetic-ros-core' in done.stdout.split()
-    assert 'ros-noetic-tf2-ros' not in done.stdout.split()
-
-
 def test_the_setup_of_the_prefix_is_sourced(folder):
     (folder / 'one').mkdir()
     (folder / 'one' / 'setup.bash').write_text('echo "this is ${unset_variable}one"')
     done = run(folder, 'prefixes=("$PWD/one"); missing_packages() { :; }; '
                        'build_if_changed() { exit 0; }; set_up run')
     assert (done.stdout, done.stderr) == ('this is one\n', '')
-
-
-def test_packages_are_installed_after_an_update_and_without_recommendations(folder):
-    done = run(folder, 'install socat cmake; echo ready')
-    assert done.stdout.splitlines()[-1] == 'ready' and done.stderr == ''
-    assert (folder / 'asked').read_text().splitlines() == [
-        'update', 'install --no-install-recommends socat cmake']
-
-
-def test_a_package_that_the_system_lacks_is_left_out_with_one_line(folder):
-    done = run(folder, 'install chromium socat; echo ready')
-    assert done.stdout.splitlines()[1:] == [
-        f'==> {system()} has no package chromium; see doc/install.md. Going on without.', 'ready']
-    assert (folder / 'asked').read_text().splitlines()[-1].endswith(' socat')
 
 
 def test_a_system_without_ros_gets_one_line_that_names_it_and_the_page(folder):

@@ -1,84 +1,58 @@
-"""All names of the bridge that the judge uses: a rebuild of the bridge changes this file alone."""
-# flake8: noqa: F401  much of it is what mutants break
-import logging
+"""All names of the bridge that the judge uses: a rebuild of the bridge changes this file alone, and
+where mutants.py breaks it. The boards at the other end are in simulated.py."""
 import os
+from functools import partial
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, List, Optional, Tuple
+from typing import Any, Callable, Dict, List, Tuple
 
 from device import Device
 from world import Loop, World
 
 from serial_communication.boards.arduino import custom_messages, settings
-from serial_communication.boards.arduino.heartbeat import HeartbeatThread
-from serial_communication.boards.arduino.link import ArduinoLink, ArduinoSettings
-from serial_communication.boards.arduino.motor import Motor, Stop
-from serial_communication.boards.arduino.output import CarOutput
-from serial_communication.boards.arduino.simulator import ModelCar
+from serial_communication.boards.arduino.link import ArduinoLink
+from serial_communication.boards.arduino.session import CarOptions
 from serial_communication.boards.bus import wire as bus_wire
-from serial_communication.boards.bus.call import CallQueue
 from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.link import BusLink, BusSettings
-from serial_communication.boards.bus.master import Master
-from serial_communication.boards.bus.session import Session, SessionState
-from serial_communication.boards.bus.simulator import ControlBoard as BusBoard
 from serial_communication.boards.mcu.link import McuLink
-from serial_communication.boards.mcu.simulator import SensorBoard
-from serial_communication.framing.announcement import read_announcement, write_announcement
-from serial_communication.framing.custom_messages import CustomMessage
-from serial_communication.link.announcement import BoardAnnouncement
-from serial_communication.link.connection import Connection
-from serial_communication.link.link import Link
+from serial_communication.framing.announcement import read_announcement
 from serial_communication.link.outcome import Refused
-from serial_communication.link.settings import BoardSettings
-from serial_communication.link.stamps import Stamps
-from serial_communication.simulation.faults import Faults, parse
-from serial_communication.simulation.line import SimulatedLine
 from serial_communication.transport.port import Port
 
 
-class ControlBoard(BusBoard):
-    """Replies with the values of the request, so that a reply tells whose it is."""
-
-    def _custom_function(self, function: Any, request: Any, now: float) -> Any:
-        reply = super()._custom_function(function, request, now)
-        return reply._replace(data=request.data) if reply.data else reply
-
-
-def line_of(board: Any, write: Callable[[bytes], None], journal: Any,
-            drift: Optional[float]) -> SimulatedLine:
-    """The board's end of a line; `drift`, ppm: the board sends its time."""
-    return SimulatedLine(board, write, Faults(parse(
-        [] if drift is None else [f'drift={drift}'], board)), journal)
+def parts_of(rows: Dict[str, Any]) -> Tuple[List[Any], List[Any]]:
+    """The custom messages among these rows, and the settings."""
+    ours = {name: row for name, row in rows.items() if 'setting' in row}
+    return custom_messages({name: rows[name] for name in rows if name not in ours}), settings(ours)
 
 
 class SimPort(Port):
     """The bridge's port on a device."""
 
     def __init__(self, world: World, device: Device) -> None:
-        scheme = 'socket://sim:1' if device.kind == 'network' else '/dev/sim'
-        super().__init__(scheme, 115200, now=world.clock)
+        super().__init__('socket://sim:1' if device.kind == 'network' else '/dev/sim', 115200)
         self._world, self._device = world, device
         for descriptor in self._wake_read, self._wake_write:     # nothing sleeps
             os.close(descriptor)
 
     def _open(self) -> Any:
-        self._refuse_while_lent('')
         device = self._device
         device.open()
         return SimpleNamespace(
             is_pty=device.kind == 'pty', has_baud=device.kind == 'tty', escaped=bytes,
             read=lambda _timeout, _wants_room: device.read(65536), send=device.send,
-            unsent=device.unsent, on_its_way=device.unsent, discard_output=device.flush_output,
-            restore_settings=device.restore, pulse=lambda _line: device.pulse(),
-            close=lambda _is_held: device.close())
+            unsent=device.unsent, on_its_way=device.unsent, renew=device.renew,
+            changed_settings=lambda: 'icanon' if device.is_altered else '',
+            pulse=lambda _line: device.pulse(), close=device.close)
 
-    _others_have = staticmethod(lambda _path: False)
-
-    def pause(self, seconds: float) -> None:
-        pass
+    is_used = staticmethod(lambda: False)       # type: ignore[assignment]
+    pause = staticmethod(lambda _seconds: None)     # type: ignore[assignment]
 
     def drain(self, seconds: float) -> None:
-        self._world.wait(self._device.drain(seconds))
+        self._device.drain(seconds)
+
+
+_WORDS = {3: 'failed', 253: 'not sent', 254: 'not known', 255: 'refused'}
 
 
 class Robot:
@@ -91,14 +65,13 @@ class Robot:
         self.calibrating: List[Tuple[float, bool]] = []
         self.tapped: List[Tuple[int, bytes, str]] = []      # direction, frame, why it is invalid
         port = SimPort(world, device)
-        options = {'clock': world.clock, 'now': world.clock, 'logger': logging.Logger('judge', 100)}
+        self.said: List[Tuple[float, int, str]] = []        # lines of the log, and their levels
+        options: Any = {'clock': world.clock, 'now': world.clock, 'logger': self}
         self.link: Any
         if kind == 'arduino':
             self.link = ArduinoLink(
-                port, ArduinoSettings(**parameters), on_message=self._publish,
-                on_calibrating=lambda on: self.calibrating.append((world.clock(), on)),
-                messages=[row.kind for row in self.rows(rows) if not row.is_command], **options)
-            self.link.output.motor.awake(world.clock())
+                port, CarOptions(**parameters), on_message=self._publish,
+                on_calibrating=lambda on: self.calibrating.append((world.clock(), on)), **options)
         elif kind == 'mcu':
             self.link = McuLink(
                 port, on_status=lambda message, seq, stamp: self._publish(message, stamp),
@@ -106,79 +79,114 @@ class Robot:
                     (world.clock(), 'silent', (kind.__name__ if kind else '', age), 0.0)),
                 **parameters, **options)
         else:
-            self.link = BusLink(port, BusSettings(**parameters), nonce=lambda: bytes(
-                world.random.randrange(256) for _ in range(4)), on_environment=self._publish,
-                **options)
+            self.link = BusLink(
+                port, BusSettings(**parameters), on_environment=self._publish,
+                nonce=lambda: bytes(world.random.choices(range(256), k=4)), **options)
         self.loops = [Loop(world, step) for step in self.link.loops()]
         port.wake = device.on_input = self.loops[0].wake    # type: ignore[method-assign]
         if is_tapped:
-            self.link.tap = lambda _name, direction, frame: self.tapped.append(
+            self.link.traffic.tap = lambda _name, direction, frame: self.tapped.append(
                 (direction, frame.raw, frame.cause))
-        self.link.lending.line = 'dtr'
-        self.link.announcement.on_text = lambda text: world.after(
+        self.link.lending.reset_line = 'dtr'
+        self.link.session.announcement.on_text = lambda text: world.after(
             world.random.uniform(0.0, 0.3), lambda: self._use(text))
-        self._made: List[Callable[[], None]] = []
-        self.functions: Dict[str, Any] = {}     # of the bus
-        self.grippers = [row.kind for row in self.rows(rows) if row.is_command]    # or none now
+        self._made: List[Callable[[], None]] = []       # what takes down the rows in use
+        self.used: List[Tuple[float, List[str]]] = []   # when announced rows came into use
+        self.functions: Dict[str, Any] = {}     # of the bus, by name
+        self.commands: Dict[str, Any] = {}      # the rows to the car
+        self._use_rows(rows, False)
 
-    def use_functions(self, rows: Dict[str, Any], announced: bool) -> None:
-        """Use these functions of the bus."""
-        self.functions = {each.name: each._replace(announced=announced)
-                          for each in read_functions(rows)}
-        self.link.stops = [(each.make_request(()), each) for each in self.functions.values()
-                           if each.interrupts]
+    def _use_rows(self, rows: Dict[str, Any], announced: bool) -> None:
+        """Use these rows, as the ROS side does."""
+        link, made = self.link, self._made
+        if self.kind == 'bus':
+            self.functions = {each.name: each._replace(announced=announced)
+                              for each in read_functions(rows)}
+            link.session.stops = [(each.make_request(()), each) for each in self.functions.values()
+                          if each.interrupts]
+            return
+        messages, its_settings = parts_of(rows)
+        for row in messages:
+            row.kind.ANNOUNCED = announced
+            if row.is_command:
+                self.commands[row.name] = row.kind
+            else:
+                link.session.decoder.add_message(row.kind)
+                made.append(partial(link.session.decoder.remove_message, row.kind))
+            if row.ros_type == 'geometry_msgs/Twist':
+                zero = row.kind(*(0.0 for _ in row.kind.LAYOUT.values))
+                link.add_motion(zero)
+                made.append(partial(link.remove_motion, zero))
+        made += [link.session.board_settings.add(each, announced) for each in its_settings]
 
-    @staticmethod
-    def rows(rows: Dict[str, Any]) -> List[CustomMessage]:
-        return custom_messages({name: row for name, row in rows.items() if 'setting' not in row})
+    def _use(self, text: bytes) -> None:
+        """Use the rows of an announcement instead."""
+        while self._made:
+            self._made.pop()()
+        self.commands.clear()
+        announced = read_announcement(text)
+        self._use_rows(announced.rows, True)
+        self.link.session.announcement.use(text, announced.firmware, list(announced.rows))
+        self.used.append((self.world.clock(), list(announced.rows)))
+
+    def log(self, level: int, form: str, *words: Any) -> None:
+        """A line of the link's log."""
+        self.said.append((self.world.clock(), level, form % words))
 
     def _publish(self, message: Any, stamp: float) -> None:
         self.published.append((self.world.clock(), type(message).__name__, tuple(message), stamp))
-
-    def _use(self, text: bytes) -> None:
-        """Use the rows of an announcement, as the ROS side does."""
-        for take_down in self._made:
-            take_down()
-        self._made, self.grippers = [], []
-        announced = read_announcement(text)
-        if self.kind == 'bus':
-            self.use_functions(announced.rows, True)
-        for row in self.rows(announced.rows) if self.kind != 'bus' else ():
-            row.kind.ANNOUNCED = True
-            if row.is_command:
-                self.grippers.append(row.kind)
-            else:
-                self.link.decoder.add_message(row.kind)
-                self._made.append(lambda kind=row.kind: self.link.decoder.remove_message(kind))
-        for setting in settings({
-                name: row for name, row in announced.rows.items() if 'setting' in row}):
-            self._made.append(self.link.board_settings.add(setting, announced=True))
-        self.link.announcement.use(text, announced.firmware, list(announced.rows))
 
     # -- what people and programs do -----------------------------------------------------------
 
     def command(self, name: str, *values: Any) -> str:
         """Send a command to the car: '' if it was accepted, else why it was refused."""
+        link = self.link
+        send = {'speed': link.set_speed, 'steering': link.set_steering, 'led': link.set_led,
+                'calibrate': link.calibrate_imu}.get(
+                    name, lambda *row: link.command(self.commands[name](*row)))
         try:
-            {'speed': self.link.set_speed, 'steering': self.link.set_steering,
-             'led': self.link.set_led, 'calibrate': self.link.calibrate_imu,
-             'row': self.link.command}[name](*values)
+            send(*values)
         except Refused as refused:
             return refused.cause
         return ''
 
-    def call(self, cmd1: int, cmd2: int, data: bytes, function: Optional[Any] = None) -> Any:
-        """Call the bus; return the call, which has an `outcome` once it is over."""
-        return self.link.submit(bus_wire.Request(cmd1, cmd2, data), function or bus_wire.built_in(
-            bus_wire.Request(cmd1, cmd2, data), bus_wire.RAW))
+    def call(self, cmd1: int, cmd2: int, data: bytes, name: str,
+             told: Callable[[str, bytes, str], None]) -> Tuple[bool, float]:
+        """Call the bus; `told` gets what its caller is told: a word, the data and a text. Return
+        whether it may be repeated, and how long it takes once it is its turn, at most."""
+        request = bus_wire.Request(cmd1, cmd2, data)
+        function = self.functions.get(name) or bus_wire.built_in(request, bus_wire.RAW)
+        call = self.link.submit(request, function)
+        finish = call.finish
+
+        def finished(outcome: Any) -> None:
+            finish(outcome)
+            last = call.outcome
+            told('done' if last.success else _WORDS.get(last.status, 'answered'), last.data,
+                 last.message)
+
+        call.finish = finished
+        if call.outcome is not None:
+            finished(call.outcome)
+        return function.repeatable, call.tries * call.timeout
+
+    def want(self, name: str, value: float) -> bool:
+        """Set a setting; return whether it is there."""
+        self.link.session.board_settings.want(name, value)
+        return name in self.link.session.board_settings.shown()
 
     def stop(self, holds: bool) -> str:
-        self.link.is_stopped = holds
+        self.link.session.is_stopped = holds
         return self.link.stop_motion() if holds else ''
 
     def lend_or_reset(self, seconds: float) -> Any:
+        """The `answer` of a loan or a reset: whether it was granted, and what is said."""
         lending = self.link.lending
-        return lending.ask_for_loan('judge', seconds) if seconds else lending.ask_for_reset()
+        try:
+            return SimpleNamespace(answer=(
+                True, lending.lend('judge', seconds) if seconds else lending.reset()))
+        except Refused as refused:
+            return SimpleNamespace(answer=(False, str(refused)))
 
     def report(self) -> Dict[str, Any]:
         return dict(self.link.report(self.world.clock()).values)

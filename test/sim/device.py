@@ -58,8 +58,8 @@ class Device:
         self.hold = 0.0              # s; an adapter delivers input only every so often
         self.split = 0.0             # how often input arrives in two parts
         self.is_there = True         # it is plugged in
-        # What happens inside the next `send`, and whether before the bytes are taken.
-        self.in_write: Optional[Tuple[Callable[[], None], bool]] = None
+        # What happens inside the next `send` of such bytes, and whether before they are taken.
+        self.in_write: Optional[Tuple[Callable[[], None], bool, Callable[[bytes], bool]]] = None
         self.is_altered = False      # another program changed its settings
         self.receive: Callable[[bytes], None] = lambda data: None    # by the board
         self.on_input: Callable[[], None] = lambda: None
@@ -104,8 +104,11 @@ class Device:
     def send(self, data: bytes) -> int:
         """Take as many bytes as there is room for; BlockingIOError: none."""
         self._check()
-        happens, before = self.in_write or (None, False)
-        self.in_write = None
+        happens, before, concerns = self.in_write or (None, False, lambda data: True)
+        if happens and concerns(data):
+            self.in_write = None
+        else:
+            happens = None
         if happens and before:
             happens()
         room = _NETWORK_ROOM if self.kind == 'network' else _ROOM
@@ -139,13 +142,17 @@ class Device:
             self._pump_now()
         return took
 
-    def restore(self) -> str:
-        """Restore its settings, and drop what waits; return what was changed, or ''."""
-        altered, self.is_altered = self.is_altered, False
-        if altered:
+    def renew(self, keeps_input: bool) -> int:
+        """Drop what waits, and restore the settings; return how many bytes of input were dropped.
+        """
+        self.flush_output()
+        if self.is_altered:
+            self.is_altered = False
             self.restorations.append(self._world.clock())
-            self._input = b''
-        return 'icanon' if altered else ''
+        if keeps_input or self.kind == 'network':
+            return 0
+        dropped, self._input = len(self._input), b''
+        return dropped
 
     def pulse(self) -> None:
         """Reset the board by a control line."""

@@ -44,6 +44,9 @@ class Evidence:
         self.readable = decoded(device.bridge_read, read_at, starts, anywhere=True)
         self.got = decoded(device.board_gets, sent_at, [])
         self.sent = decoded(device.board_sent, read_at, [])     # by the board
+        stops = self.events('stop')
+        self.stops = stops + [  # the last one may not be released
+            (begin, float('inf')) for begin in story.stopped_at[len(stops):]]
         self.suspended = list(story.world.suspensions)
         self.stalls = [sorted(self.suspended + loop.stalls) for loop in story.robot.loops]
 

@@ -1,7 +1,7 @@
 """What programs and people do with a robot, and the faults that happen to it; all by the seed."""
 from typing import Any, Callable, List, Tuple
 
-from scenario import OTHER_FUNCTIONS, Called, Command, Event, Story
+from scenario import OTHER_FUNCTIONS, Called, Command, Event, Story, Told
 from world import World
 
 # Of another board behind the same port: one of its types has another meaning.
@@ -17,7 +17,8 @@ def live(seed: int, seconds: float = 25.0, hertz: float = 10.0) -> List[Story]:
     calm = random.random() < 0.1
     stories = [Story(world, kind, hertz, calm) for kind in kinds]
     for story in stories:
-        {'arduino': _drive, 'bus': _call, 'mcu': _watch}[story.kind](story)
+        if story.kind != 'mcu':
+            {'arduino': _drive, 'bus': _call}[story.kind](story)
         _tune(story)
         story.every(0.9, 1.1, story.look)
         if random.random() < 0.5:
@@ -25,7 +26,7 @@ def live(seed: int, seconds: float = 25.0, hertz: float = 10.0) -> List[Story]:
         if random.random() < 0.5:
             story.every(4.0, 15.0, lambda story=story: _borrow(story))
         if not calm:
-            for fault in random.sample(FAULTS, random.randint(1, 4)):
+            for fault in random.sample(FAULTS, random.randint(0, 4)):
                 story.every(2.0, 8.0, lambda story=story, fault=fault: fault(story))
     if not calm and random.random() < 0.5:
         stories[0].every(3.0, 9.0, lambda: _suspend(stories))
@@ -36,20 +37,17 @@ def live(seed: int, seconds: float = 25.0, hertz: float = 10.0) -> List[Story]:
     return stories
 
 
-# -- programs ---------------------------------------------------------------------------------
-
-
 def _command(story: Story, name: str, *values: Any) -> None:
     now = story.world.clock()
     refused = story.robot.command(name, *values)
-    story.commands.append(Command(now, name, values[0] if values else None, refused))
+    story.commands.append(Command(
+        now, name, values if len(values) > 1 else values[0] if values else None, refused))
 
 
 def _drive(story: Story) -> None:
     random = story.random
 
-    def speed() -> None:
-        number = story.number()
+    def speed(number: int) -> None:
         value = number % 1000 + 1 if random.random() < 0.95 else 1000 + number
         _command(story, 'speed', value * (1 if number % 2 else -1))
 
@@ -57,12 +55,13 @@ def _drive(story: Story) -> None:
         """Drive for a while; end it with a stop, or by silence."""
         until = story.world.time + random.uniform(0.1, 2.5)
         period = random.choice((0.02, 0.05, 0.1, 0.4))
+        same = story.number() if random.random() < 0.3 else 0
 
         def again() -> None:
             if story.ended is not None:
                 return
             if story.world.time < until:
-                speed()
+                speed(same or story.number())
                 story.world.after(period, again)
             elif random.random() < 0.4:
                 _command(story, 'speed', 0)
@@ -72,13 +71,31 @@ def _drive(story: Story) -> None:
     story.every(0.5, 5.0, lambda: _command(story, 'led', random.choice(
         ('left {}', 'right {}', 'é {}', '{:31}')).format(story.number())))
 
-    def grip() -> None:
-        if story.robot.grippers:        # else nobody can publish to it
-            _command(story, 'row', story.robot.grippers[-1](story.number()))
+    def row(name: str, *values: float) -> None:
+        if name in story.robot.commands:        # else nobody can publish to it
+            _command(story, name, *values)
 
-    story.every(0.3, 2.0, grip)
-    if random.random() < 0.35:
-        story.world.after(random.uniform(1.0, 8.0), lambda: _command(story, 'calibrate'))
+    def drive() -> None:
+        """Move by a row for a while; end it with its zero, or by silence."""
+        until = story.world.time + random.uniform(0.1, 2.0)
+        period = random.choice((0.05, 0.2, 0.4))
+
+        def again() -> None:
+            number = story.number()
+            raw = number % 2000 + 1 if random.random() < 0.95 else 2000 + number
+            if story.ended is None and story.world.time < until:
+                raw = raw if random.random() < 0.98 else float('nan')
+                row('drive', raw / 1000 * (1 if number % 2 else -1), number % 7 / 1000)
+                story.world.after(period, again)
+            elif story.ended is None and random.random() < 0.4:
+                row('drive', 0.0, 0.0)
+        again()
+
+    story.every(0.3, 2.0, lambda: row('gripper', story.number()))
+    story.every(1.0, 5.0, drive)
+    if random.random() < 0.5:
+        story.world.after(random.uniform(1.0, 5.0), lambda: story.every(
+            1.0, 15.0, lambda: _command(story, 'calibrate')))
 
 
 def _call(story: Story) -> None:
@@ -89,10 +106,9 @@ def _call(story: Story) -> None:
         name = random.choice(('lift', 'gimbal', 'press', 'press', 'level', 'environment', 'echo',
                               'sync', 'raw', 'halt'))
         data = number.to_bytes(2, 'little')
-        cmd1, cmd2, function = 0x55, 0, None
+        cmd1, cmd2 = 0x55, 0
         if name in functions:
-            function = functions[name]
-            cmd2, data = function.cmd2, b'' if name == 'halt' else data
+            cmd2, data = functions[name].cmd2, b'' if name == 'halt' else data
         elif name in ('press', 'level', 'halt'):
             return      # not announced now
         elif name == 'raw':
@@ -107,31 +123,14 @@ def _call(story: Story) -> None:
         else:
             cmd2 = 0x20 if name == 'lift' else 0x21
             data = bytes((number % 2, number % 200 + 1))
-        now = story.world.clock()
-        made = story.robot.call(cmd1, cmd2, data, function)
-        called = Called(now, name, (cmd1, cmd2, data), made.function, made)
+        called = Called(story.world.clock(), name, (cmd1, cmd2, data))
         story.calls.append(called)
-        _when_ended(story, called)
+
+        def told(*what: Any) -> None:
+            if called.ended is None:
+                called.told, called.ended = Told(*what), story.world.clock()
+        called.repeatable, called.longest = story.robot.call(cmd1, cmd2, data, name, told)
     story.every(0.05, random.choice((0.5, 3.0, 12.0)), call)
-
-
-def _when_ended(story: Story, called: Called) -> None:
-    """Note when the call is told its outcome."""
-    finish = called.call.finish
-
-    def finished(outcome: Any) -> None:
-        finish(outcome)
-        if called.ended is None:
-            called.ended = story.world.clock()
-
-    if called.call.outcome is None:
-        called.call.finish = finished
-    else:
-        called.ended = called.time
-
-
-def _watch(_story: Story) -> None:
-    """The sensor board is only listened to."""
 
 
 def _tune(story: Story) -> None:
@@ -141,9 +140,9 @@ def _tune(story: Story) -> None:
     def want() -> None:
         name, value = story.random.choice((('kp', story.number() % 40 / 4),
                                            ('limit', story.number() % 500)))
-        if name in story.robot.link.board_settings.shown():     # else nobody can set it
-            story.wants.append((story.world.clock(), name, value))
-        story.robot.link.board_settings.want(name, value)
+        now = story.world.clock()
+        if story.robot.want(name, value):       # else nobody can set it
+            story.wants.append((now, name, value))
     story.every(1.0, 8.0, want)
 
 
@@ -169,9 +168,6 @@ def _borrow(story: Story) -> None:
     seconds = story.random.uniform(0.2, 3.0)
     now = story.world.clock()
     story.tasks.append((now, now + seconds, 'lend', story.robot.lend_or_reset(seconds)))
-
-
-# -- faults -----------------------------------------------------------------------------------
 
 
 def _suspend(stories: List[Story]) -> None:
@@ -200,7 +196,14 @@ def _freeze_in_write(story: Story) -> None:
     def freeze() -> None:
         story.happen('suspended', seconds)
         story.world.freeze(seconds)
-    story.device.in_write = freeze, story.random.random() < 0.5
+    story.device.in_write = freeze, story.random.random() < 0.5, _concerned(story)
+
+
+def _concerned(story: Story) -> Callable[[bytes], bool]:
+    """Any bytes, or only a request that moves something."""
+    if story.kind != 'bus' or story.random.random() < 0.3:
+        return lambda data: True
+    return lambda data: data[2:3] == b'\x55' and data[3:4] in b'\x20\x21\x30\xF0'
 
 
 def _unplug(story: Story) -> None:
@@ -243,7 +246,7 @@ def _block(story: Story) -> None:
 
 def _block_in_write(story: Story) -> None:
     """The far end takes nothing from the next write on."""
-    story.device.in_write = (lambda: _block(story)), True
+    story.device.in_write = (lambda: _block(story)), story.kind != 'bus', _concerned(story)
 
 
 def _alter(story: Story) -> None:
@@ -258,6 +261,21 @@ def _cut(story: Story) -> None:
         story.device.reset_connection()
 
 
+def _pull_in_write(story: Story) -> None:
+    """It is unplugged once the kernel has taken its next write."""
+    story.device.in_write = (lambda: _unplug(story)), False, _concerned(story)
+
+
+def _dribble(story: Story) -> None:
+    """A frame seems to begin, and goes on byte by byte."""
+    start = {'bus': b'\xA5\xF0\x02', 'mcu': b'\x02\xF0\x70', 'arduino': b'\xF0'}[story.kind]
+    count = story.random.randint(5, 40)
+    for index, byte in enumerate(start + bytes(count)):
+        story.world.after(0.03 * index, lambda byte=byte: story.device.from_board(
+            bytes((byte or 0x41,))))
+    story.happen('noise', 0.03 * (count + 3), b'')
+
+
 def _noise(story: Story) -> None:
     data = bytes(story.random.randrange(256) for _ in range(story.random.choice((1, 5, 40))))
     story.happen('noise', 0.0, data)
@@ -266,4 +284,4 @@ def _noise(story: Story) -> None:
 
 FAULTS: Tuple[Callable[[Story], None], ...] = (
     _starve, _starve, _freeze_in_write, _unplug, _reset, _silence, _block, _block_in_write,
-    _alter, _cut, _noise)
+    _silence, _alter, _cut, _noise, _dribble, _pull_in_write)

@@ -6,18 +6,18 @@ A mutant is a broken promise, not a place: a rebuild of the bridge moves its pla
 import json
 import time
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Callable, Dict, Iterator, NamedTuple
 
 import judge        # first: it makes the package findable
-import adapter as of
 
 
 class Mutant(NamedTuple):
     """A promise that is broken: what `patch` returns takes the place of a method."""
 
     promise: str
-    owner: Any
+    owner: str      # module and class of the package
     method: str
     patch: Callable[[Callable], Any]     # gets the method
 
@@ -30,79 +30,118 @@ def _returns(value: Any) -> Callable[[Callable], Callable]:
     return lambda _method: lambda *_, **__: value
 
 
+def _without_calibration(method: Callable, session: Any, *arguments: Any) -> Any:
+    calibration, session.calibration = session.calibration, None
+    try:
+        return method(session, *arguments)
+    finally:
+        session.calibration = calibration
+
+
 MUTANTS: Dict[str, Mutant] = {
     'no fence before a call': Mutant(
-        'a fence precedes every call', of.Master, '_needs_fence', _returns(False)),
+        'a fence precedes every call', 'boards.bus.master.Master', '_needs_fence', _returns(False)),
     'a move is sent again after a timeout': Mutant(
-        'a move is never sent again after a timeout', of.CallQueue, 'try_failed',
+        'a move is never sent again after a timeout', 'boards.bus.call.CallQueue', 'try_failed',
         lambda _method: lambda self, call, outcome, now: self._again(call, outcome, now)),
     'a stop waits for its turn': Mutant(
-        'a stop is sent at once', of.Master, '_interrupt', _nothing),
+        'a stop is sent at once', 'boards.bus.master.Master', '_interrupt', _nothing),
     'an old call is sent after a stall': Mutant(
-        'a call is as old as a command', of.Connection, 'may_be_from_a_stall', _returns(False)),
+        'a call is as old as a command', 'link.freshness.Freshness', 'is_fresh', _returns(True)),
     'a call outlives its port': Mutant(
-        'an outstanding call is not known when the port closes', of.BusLink, 'closed', _nothing),
+        'an outstanding call is not known when the port closes', 'boards.bus.link.BusLink',
+        'closed', _nothing),
     'no SYNC after an opening': Mutant(
-        'SYNC comes first', of.Session, 'connected', lambda _method: lambda self, now: setattr(
-            self, 'state', of.SessionState.OUT_OF_STEP)),
+        'SYNC comes first', 'boards.bus.session.Session', 'connected',
+        lambda _method: lambda self, now: setattr(
+            self, 'state', type(self.state).OUT_OF_STEP)),
     'moves while stopped': Mutant(
-        '~stop holds on the bus', of.BusLink, '_why_not', _returns('')),
+        '~stop holds on the bus', 'boards.bus.link.BusLink', '_why_not', _returns('')),
     'the timeout of the speed is doubled': Mutant(
-        'SPEED 0 after 0.5 s without a command', of.Motor, '__init__',
-        lambda method: lambda self, timeout, now: method(self, 2 * timeout, now)),
+        'SPEED 0 after 0.5 s without a command', 'boards.arduino.motion.Motion', '__init__',
+        lambda method: lambda self, zero, timeout: method(self, zero, 2 * timeout)),
     'a stop is not repeated': Mutant(
-        'a stop is repeated for 1 s', of.Motor, 'due', lambda method: lambda *arguments: (
-            lambda why: None if why is of.Stop.REPEATED else why)(method(*arguments))),
+        'a stop is repeated for 1 s', 'boards.arduino.motion.Motion', 'due',
+        lambda method: lambda *arguments: (
+            lambda why: None if why and why.name == 'REPEATED' else why)(method(*arguments))),
     'SPEED 0 does not come first': Mutant(
-        'SPEED 0 first', of.Motor, 'forget_speed', _nothing),
+        'SPEED 0 first', 'boards.arduino.motion.Motion', 'forget', _nothing),
     'a stall is not noticed by the car': Mutant(
-        'commands of a stall are refused', of.Motor, 'detect_stall', _returns(None)),
+        'commands of a stall are refused', 'link.freshness.Freshness', 'awake',
+        lambda _method: lambda self, loop, now, stamp=None: self._awake.update(
+            {loop: now}) or 0.0),
     'a backlog is kept': Mutant(
-        'what stands in a port is dropped', of.Port, 'discard_output', _returns(True)),
+        'what stands in a port is dropped', 'transport.port.Port', 'renew', _returns(0)),
     'heartbeats wait for the link': Mutant(
-        'heartbeats are in time', of.HeartbeatThread, 'step', lambda method: lambda self: max(
+        'heartbeats are in time', 'link.writer.Writer', 'beat',
+        lambda method: lambda self: max(
             method(self), self._now() + 0.04)),
     'commands while it calibrates': Mutant(
-        'a calibrating board is left alone', of.CarOutput, '_why_not', lambda method:
-            lambda self, message, now: ('', '') if self.calibration else method(
-                self, message, now)),
+        'a calibrating board is left alone', 'boards.arduino.session.CarSession', 'submit',
+        lambda method: lambda self, message, now: _without_calibration(method, self, message, now)),
     'the car moves while stopped': Mutant(
-        '~stop holds', of.CarOutput, '_moves', _returns(False)),
+        '~stop holds', 'boards.arduino.session.CarSession', '_moves', _returns(False)),
     'stale bytes are published': Mutant(
-        'no stale value', of.Connection, '_check_stall', lambda _method:
-            lambda self, now: setattr(self.stalls, 'awake_at', now) or 0.0),
+        'no stale value', 'link.link.Link', '_stalled', _nothing),
     'an announcement is kept over an opening': Mutant(
-        'announced rows wait', of.BoardAnnouncement, 'reset', _nothing),
+        'announced rows wait', 'link.announcement.BoardAnnouncement', 'reset', _nothing),
     'values of an old announcement': Mutant(
-        'values are of this board', of.BoardAnnouncement, 'holds_back', _returns(False)),
+        'values are of this board', 'link.announcement.BoardAnnouncement', 'holds_back',
+        _returns(False)),
     'a setting is confirmed by an older report': Mutant(
-        'a confirmed setting is in use', of.BoardSettings, 'send', lambda method:
+        'a confirmed setting is in use', 'link.settings.BoardSettings', 'send', lambda method:
             lambda self, now, write, is_current: [
                 setattr(state, 'confirmed', state.value is not None)
                 for state in self._states.values()] and method(self, now, write, is_current)),
     'a lent port is opened': Mutant(
-        'a lent port is left alone', of.Port, '_refuse_while_lent', _nothing),
+        'a lent port is left alone', 'link.lending.Lending', 'runs',
+        lambda _method: property(lambda self: False)),
     'a loan without SPEED 0': Mutant(
-        'SPEED 0 is the last packet before a loan', of.CarOutput, 'let_go', lambda _method:
-            lambda self, why, resets=False: self._port.give_up(why)),
+        'SPEED 0 is the last packet before a loan', 'link.lending.Lending', '_let_go', _nothing),
     'a stamp of the moment it is published': Mutant(
-        'a stamp is of the read', of.Stamps, 'of', lambda _method:
+        'a stamp is of the read', 'link.stamps.Stamps', 'of', lambda _method:
             lambda self, frame, read: read.stamp + 0.001),
     'a silent board is not reported': Mutant(
-        'a silent board is reported', of.McuLink, 'idle', lambda _method:
+        'a silent board is reported', 'boards.mcu.session.SensorSession', 'idle', lambda _method:
             lambda self, now: now + 0.1),
     'frames are lost': Mutant(
-        'every valid frame is published', of.Link, 'deliver', lambda method:
+        'every valid frame is published', 'link.receiver.Receiver', '_deliver', lambda method:
             lambda self, frame, now: None if frame.raw[2:3] == b'\x05' else method(
                 self, frame, now)),
     'frames are doubled': Mutant(
-        'a value is published once', of.Link, 'deliver', lambda method:
+        'a value is published once', 'link.receiver.Receiver', '_deliver', lambda method:
             lambda self, frame, now: [method(self, frame, now) for _ in range(
                 1 + (frame.raw[2:3] == b'\x05'))]),
+    'a call is given up behind another one': Mutant(
+        'a call is not given up while it may be served', 'boards.bus.master.Master', '_timed_out',
+        lambda method: lambda self, exchange, now: (
+            [self.calls.abandon(each, 'busy') for each in self.calls], method(
+                self, exchange, now))),
+    'a call that was refused is not sent again': Mutant(
+        'a refused call is repeated', 'boards.bus.call.CallQueue', 'refused',
+        lambda method: lambda self, call, invalid, now: (
+            setattr(call, 'tries', 0), method(self, call, invalid, now))),
+    'polls pile up': Mutant(
+        'polls do not pile up', 'boards.bus.polls.Poller', 'tick', lambda _method:
+            lambda self, now: self.pace.passed(now) and self._submit()),
+    'a silence of 1 s ends a calibration': Mutant(
+        'a calibration ends after a silence of 2 s', 'boards.arduino.calibration.Calibration',
+        'imu_data', lambda method: lambda self, now: (
+            setattr(self, '_last_data', self._last_data - 1.0), method(self, now))[1]),
+    'damage is counted twice': Mutant(
+        'what is damaged is counted once', 'link.receiver.Receiver', '_deliver',
+        lambda method: lambda self, frame, now: (
+            method(self, frame, now), self._traffic.errors.update(
+                framing=frame.cause == 'framing'))),
+    'a silent pty is trusted': Mutant(
+        'a silent pty takes no command', 'boards.arduino.session.CarSession', 'longest_silence',
+        _returns(0.0)),
+    'changed settings leave no doubt': Mutant(
+        'SPEED 0 after settings were restored', 'transport.port.Port', 'changed_settings',
+        lambda method: lambda self: method(self) and str(self.renew())[:0]),
     'the port is not opened again': Mutant(
-        'a port that is back is opened', of.Connection, '_close', lambda method:
-            lambda self: (method(self), setattr(self, '_open_at', self._now() + 30.0),
-                          self._now())[2]),
+        'a port that is back is opened', 'link.reopening.Reopening', 'lost', lambda method:
+            lambda self, why, now: (method(self, why, now), setattr(self, 'at', now + 30.0))),
 }
 _FILE = Path(__file__).with_name('mutants.json')
 SEEDS: Dict[str, int] = json.loads(_FILE.read_text()) if _FILE.exists() else {}
@@ -113,12 +152,14 @@ _MOST = 200     # seeds within which each has to be found
 def broken_by(name: str) -> Iterator[None]:
     """A context in which the bridge is broken by this mutant."""
     mutant = MUTANTS[name]
-    method = vars(mutant.owner)[mutant.method]
-    setattr(mutant.owner, mutant.method, mutant.patch(method))
+    module, owner_name = mutant.owner.rsplit('.', 1)
+    owner = getattr(import_module(f'serial_communication.{module}'), owner_name)
+    method = vars(owner)[mutant.method]
+    setattr(owner, mutant.method, mutant.patch(method))
     try:
         yield
     finally:
-        setattr(mutant.owner, mutant.method, method)
+        setattr(owner, mutant.method, method)
 
 
 def _search() -> None:

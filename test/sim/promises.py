@@ -7,7 +7,7 @@ from evidence import At, Evidence
 # Yielded by a promise: how often it was at stake, and what broke it; '': nothing.
 Verdicts = Iterator[Tuple[int, str]]
 SPEED, STEERING, LED, IMU, HEARTBEAT, CALIBRATION = 4, 5, 6, 9, 11, 12
-FORCE, GRIPPER, SETTING, TIME, ANNOUNCEMENT = 32, 33, 253, 254, 255
+FORCE, GRIPPER, DRIVE, SETTING, TIME, ANNOUNCEMENT = 32, 33, 34, 253, 254, 255
 SYNC, ECHO, OK, FUNCTION, INVALID = 0x00, 0x01, 0x02, 0x55, 0xFF
 LIFT, GIMBAL, ENVIRONMENT, HALT, PRESS, LEVEL, RAW = 0x20, 0x21, 0x22, 0x2F, 0x30, 0x31, 0xF0
 MOVES = LIFT, GIMBAL, PRESS, RAW
@@ -20,6 +20,11 @@ TIMEOUT = 0.5           # s; arduino/speed_timeout
 def speed_of(frame: At) -> int:
     """The value of a SPEED_CMD."""
     return struct.unpack('<h', frame.data)[0] if len(frame.data) == 2 else 0
+
+
+def is_zero(frame: At) -> bool:
+    """Whether it ends a motion, or would."""
+    return frame.type in (SPEED, DRIVE) and not any(frame.data)
 
 
 def speeds(e: Evidence) -> List[At]:
@@ -39,8 +44,5 @@ def executed_by(e: Evidence) -> Dict[Tuple[int, int, bytes], List[float]]:
 
 def told(called) -> str:
     """What a caller was told."""
-    outcome = called.call.outcome
-    if outcome is None:
-        return 'nothing'
-    return 'done' if outcome.success else 'not known' if outcome.status == 254 else \
-        'refused' if outcome.status in (3, 253, 255) else 'answered'
+    word = called.told.word if called.told else 'nothing'
+    return 'refused' if word in ('failed', 'not sent') else word

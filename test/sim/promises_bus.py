@@ -5,6 +5,7 @@ from typing import Dict, List, Tuple
 from evidence import At, Evidence, longer, overlaps
 from promises import (ECHO, ENVIRONMENT, FRESH, FUNCTION, GIMBAL, HALT, INVALID, LEVEL, LIFT, MOVES,
                       OK, PRESS, SLACK, SYNC, Verdicts, executed_by, told)
+from scenario import Called
 
 
 def calls_are_told_the_truth(e: Evidence) -> Verdicts:
@@ -18,12 +19,13 @@ def calls_are_told_the_truth(e: Evidence) -> Verdicts:
             continue
         # The line may double a request; the bridge must not.
         written = sum((frame.type, frame.number, frame.data) == request for frame in e.wrote)
-        called, times = group[0], min(len(executed.get(request, ())), written)
+        # What the line has doubled is executed at the same time.
+        called, times = group[0], min(len(set(executed.get(request, ()))), written)
         answer = told(called)
         right = {'done': times == 1, 'refused': times == 0, 'answered': times <= 1,
                  'not known': times <= 1, 'nothing': times <= 1}[answer]
         yield 1, '' if right else f'{called.name} {request} of {called.time:.3f} was told ' \
-            f'{answer}, and executed {times} times: {called.call.outcome}'
+            f'{answer}, and executed {times} times: {called.told}'
 
 
 def calls_return(e: Evidence) -> Verdicts:
@@ -80,14 +82,24 @@ def stops_are_sent_at_once(e: Evidence) -> Verdicts:
 
 
 def stale_calls_are_refused(e: Evidence) -> Verdicts:
-    """A call from within 0.5 s after a stall is not sent, unless it only reads or stops."""
+    """A call from before the end of a stall, or 0.5 s after it, is not sent after it, unless it
+    only reads or stops."""
     executed = executed_by(e)
     for begin, end in longer(e.stalls[0], 0.55) if e.kind == 'bus' else ():
         for called in e.story.calls:
-            if end < called.time < end + FRESH - SLACK and not called.repeatable:
+            if called.repeatable:
+                continue
+            if called.time < begin and called.ended and called.ended >= end:
+                late = [frame.time for frame in e.wrote if frame.begun > end + SLACK
+                        and (frame.type, frame.number, frame.data) == called.request]
+                before = [frame for frame in e.wrote if called.time <= frame.time <= end
+                          and (frame.type, frame.number, frame.data) == called.request]
+                yield 1, '' if before or not late or called.name in ('lift', 'gimbal') else \
+                    f'{called.name} of {called.time:.3f} sent at {late}, a stall until {end:.3f}'
+            if end < called.time < end + FRESH - SLACK:
                 yield 1, '' if told(called) == 'refused' else \
                     f'{called.name} of {called.time:.3f} after a stall until {end:.3f}: ' \
-                    f'{called.call.outcome}, executed {executed.get(called.request)}'
+                    f'{called.told}, executed {executed.get(called.request)}'
 
 
 def moves_are_not_late(e: Evidence) -> Verdicts:
@@ -134,7 +146,7 @@ def replies_are_used_for_their_request(e: Evidence) -> Verdicts:
     """No late or doubled reply is used for another request: a call that echoes gets its data."""
     for called in e.story.calls:
         if called.name in ('raw', 'level', 'echo') and told(called) == 'done':
-            data = called.call.outcome.data
+            data = called.told.data
             yield 1, '' if data == called.request[2] else \
                 f'{called.name} {called.request[2].hex()} of {called.time:.3f} got {data.hex()}'
 
@@ -153,7 +165,7 @@ def readings_are_of_the_environment(e: Evidence) -> Verdicts:
 
 
 def moves_are_repeated_only_after_invalid(e: Evidence) -> Verdicts:
-    """What moves is sent again only after an INVALID, and an ECHO that has returned since."""
+    """What moves is sent again only after an INVALID, and an ECHO sent since that has returned."""
     calls: Dict[Tuple, int] = {}
     for called in e.story.calls:
         calls[called.request] = calls.get(called.request, 0) + 1
@@ -168,8 +180,9 @@ def moves_are_repeated_only_after_invalid(e: Evidence) -> Verdicts:
         for before, frame in zip(frames, frames[1:]):
             refusals = [each.time for each in e.of_type(e.readable, INVALID)
                         if before.time <= each.time <= frame.time]
-            echoes = [each.time for each in e.of_type(e.readable, ECHO)
-                      if refusals and refusals[0] <= each.time <= frame.time]
+            echoes = [sent for sent in e.of_type(e.wrote, ECHO) if refusals and any(
+                refusals[0] <= sent.time <= each.time <= frame.time and each.data == sent.data
+                for each in e.of_type(e.readable, ECHO))]
             yield 1, '' if echoes and len(frames) <= 3 else \
                 f'{request} was sent again at {frame.time:.3f}'
 
@@ -227,22 +240,161 @@ def calls_go_before_polls(e: Evidence) -> Verdicts:
             f'a poll at {at:.3f} before {waiting[0].name} of {waiting[0].time:.3f}'
 
 
+def _polls(e: Evidence) -> List[At]:
+    return [frame for frame in e.wrote if frame.type == FUNCTION and frame.number == ENVIRONMENT] \
+        if e.story.parameters['environment_period'] else []
+
+
 def polls_go_on(e: Evidence) -> Verdicts:
-    """Polls go on in their period while the board answers and no call is there."""
-    period = e.story.parameters['environment_period']
-    sent = [frame.time for frame in e.wrote
-            if frame.type == FUNCTION and frame.number == ENVIRONMENT] if period else []
-    busy = [(called.time, called.ended or float('inf')) for called in e.story.calls]
+    """A poll that was answered is followed by the next one a period later, while no call is there;
+    whatever happens to one, the polls go on."""
+    period, sent = e.story.parameters['environment_period'], [each.time for each in _polls(e)]
+    busy = [(called.time, called.ended or float('inf')) for called in e.story.calls] + [
+        (frame.time, frame.time + 0.6) for frame in e.wrote if frame.number == HALT]
     faults = [(event.begin, event.end) for event in e.story.events if event.name != 'stop']
+    noisy = any(e.story.device.damage_sent) or any(e.story.device.damage_received)
+    answers = [frame.time for frame in e.of_type(e.read, OK) if len(frame.data) == 6]
     for before, at in zip(sent, [*sent[1:], float('inf')]):
-        opened, closed = e.opening_of(before)
-        end = min(at, closed)
-        limit = before + 2 * period + 0.3
-        excused = closed < limit or overlaps(
-            busy + faults + e.stalls[0], before - 0.3, limit, 0.1) or any(
-                e.story.device.damage_sent) or any(e.story.device.damage_received)
-        yield not excused, '' if excused or end <= limit else \
-            f'no poll from {before:.3f} to {at:.3f}, the period is {period}'
+        closed = e.opening_of(before)[1]
+        for limit, counts in (
+                (before + period + 0.12, not noisy and any(
+                    before < each < before + 0.1 for each in answers)),
+                # A request, its repetitions, and what brings the link back in step.
+                (before + period + 6.0, True)):
+            excused = not counts or min(at, closed) < limit and closed <= at or overlaps(
+                busy + faults + e.stalls[0], before - 0.3, min(limit, at), 0.6) \
+                or e.story.parameters['echo'] and not e.story.echoes
+            yield not excused, '' if excused or at <= limit else \
+                f'no poll from {before:.3f} to {at:.3f}, the period is {period}'
+
+
+def polls_do_not_pile_up(e: Evidence) -> Verdicts:
+    """Of three polls that are no repetitions the last one comes a period after the first."""
+    period, sent = e.story.parameters['environment_period'], _polls(e)
+    answers = [time for time, *_ in e.story.robot.published]
+    calls = [(called.time, called.ended or float('inf')) for called in e.story.calls
+             if called.name == 'environment']
+    begins = [each for before, each in zip(sent, sent[1:])
+              if any(before.time < answer <= each.time for answer in answers)]
+    for first, last in zip(begins, begins[2:]):
+        excused = e.opening_of(first.time) != e.opening_of(last.time) or overlaps(
+            calls, first.time, last.time)
+        yield not excused, '' if excused or last.time - first.time >= period - SLACK else \
+            f'3 polls from {first.time:.3f} to {last.time:.3f}, the period is {period}'
+
+
+def _sent(e: Evidence, called: Called) -> List[float]:
+    """When the request of a call was written."""
+    return [frame.time for frame in e.wrote
+            if (frame.type, frame.number, frame.data) == called.request
+            and called.time <= frame.time <= (called.ended or frame.time)]
+
+
+_NUMBERED = 'press', 'raw', 'level'     # no two of these calls have the same request
+
+
+def calls_are_in_order(e: Evidence) -> Verdicts:
+    """Calls are sent in the order in which they came."""
+    latest = 0.0
+    for called in e.story.calls:
+        times = _sent(e, called) if called.name in _NUMBERED else []
+        if times:
+            yield 1, '' if times[0] >= latest else \
+                f'{called.name} of {called.time:.3f} was sent at {times[0]:.3f}, not in its turn'
+            latest = max(latest, times[0])
+
+
+def a_stop_ends_what_waits(e: Evidence) -> Verdicts:
+    """What moves and waits for its turn when a stop is called is not sent."""
+    for halt in e.story.calls:
+        if halt.name != 'halt' or told(halt) == 'refused':
+            continue
+        for called in e.story.calls:
+            waits = called.time < halt.time - SLACK and called.ended \
+                and called.ended >= halt.time and not called.repeatable
+            times = _sent(e, called) if waits else []
+            if waits and not [each for each in times if each <= halt.time + SLACK]:
+                yield 1, '' if not times else \
+                    f'{called.name} of {called.time:.3f} was sent at {times}, after {halt.time:.3f}'
+
+
+def calls_are_not_given_up(e: Evidence) -> Verdicts:
+    """A call is not given up while it may be served: it waits for others as long as a motion may
+    take, and 0.8 s for a link to be in step again."""
+    halts = [(called.time, called.time) for called in e.story.calls if called.name == 'halt']
+    # The link sends these by itself, too.
+    others = [called for called in e.story.calls if called.name not in ('halt', 'sync', 'echo')]
+    reads = [chunk.time for chunk in e.story.device.bridge_read]
+    for called in e.story.calls:
+        if not called.told or called.told.word != 'not sent' or called.name == 'halt':
+            continue
+        begin, end = called.time, called.ended or 0.0
+        opened, closed = e.opening_of(begin)
+        served = any(
+            other is not called and each <= end - SLACK and min(
+                each + other.longest / 3, next((read for read in reads if read > each), end + 1.0)
+            ) > max(end - 0.78, begin) for other in others for each in _sent(e, other))
+        excused = closed <= end + 0.02 or opened > begin or e.story.ended == end or overlaps(
+            halts + e.stops + e.events('blocked', 'unplugged', 'cut') + [
+                (asked, until) for asked, until, _, _ in e.story.tasks], begin, end, 0.1) \
+            or overlaps(e.stalls[0], begin - FRESH - 0.2, end, 0.1) \
+            or called.name in ('press', 'level') and e.story.announces \
+            or e.story.parameters['echo'] and not e.story.echoes
+        waited = end - begin
+        yield not excused, '' if excused or waited >= 4.99 or waited >= 0.79 and not served else \
+            f'{called.name} of {begin:.3f} was given up at {end:.3f}: {called.told.text}'
+
+
+def refused_calls_are_repeated(e: Evidence) -> Verdicts:
+    """A call that the board refused with INVALID 0x40 or 0x10 is the next one that is sent, up to
+    3 times, once an ECHO sent since has returned."""
+    if not e.story.parameters['echo']:
+        return
+    functions = [frame for frame in _plain(e) if frame.type == FUNCTION and frame.number != 0xFF]
+    asked = [called.request for called in e.story.calls]
+    calls = {called.request: called for called in e.story.calls
+             if called.name != 'environment' and asked.count(called.request) == 1}
+    halts = [(each, each) for each in e.story.stopped_at] + [
+        (called.time, called.time) for called in e.story.calls if called.name == 'halt']
+    faults = e.stops + e.events('blocked', 'silence', 'reset', 'altered', 'unplugged', 'cut')
+    for refusal in e.of_type(e.read, INVALID):
+        before = [frame for frame in _plain(e) if frame.time <= refusal.time][-1:]
+        tries = [each for each in functions if before and each.time <= refusal.time
+                 and each[1:4] == before[0][1:4]]
+        called = calls.get(tries[-1][1:4]) if tries else None
+        if called is None or tries[-1] is not before[0] or refusal.data[:1] not in b'\x40\x10':
+            continue
+        following = next((frame for frame in functions if frame.time > refusal.time), None)
+        limit = following.time if following else float('inf')
+        # Nothing else came: neither another reply nor noise.
+        replies = [frame for frame in e.read if before[0].time < frame.time <= limit]
+        size = sum(len(chunk.data) for chunk in e.story.device.bridge_read
+                   if before[0].time < chunk.time <= limit)
+        excused = len(tries) >= 3 or overlaps(
+            halts + faults + e.stalls[0], refusal.time - 0.6, min(limit, refusal.time + 5.0), 0.6) \
+            or e.opening_of(refusal.time)[1] < limit or size != sum(
+                len(frame.data) + 4 for frame in replies) or any(
+                frame.type == OK or frame.type == INVALID and frame is not refusal
+                for frame in replies) or refusal.time > called.time + 4.0 \
+            or called.name in ('press', 'level') and e.story.announces
+        yield not excused, '' if excused or following and following[1:4] == before[0][1:4] else \
+            f'{called.name} of {called.time:.3f}, refused at {refusal.time:.3f}, was not repeated'
+
+
+def a_loan_waits_for_no_move(e: Evidence) -> Verdicts:
+    """No port is lent, and no board reset, while a move is under way."""
+    closings = e.story.device.closings
+    for asked, _, name, task in e.story.tasks:
+        if not task.answer or not task.answer[0]:
+            continue
+        closed = min((each for each in closings if each >= asked), default=float('inf'))
+        for called in e.story.calls:
+            sent = _sent(e, called)
+            cut = not called.repeatable and sent and sent[-1] < asked - SLACK and called.ended \
+                and asked < called.ended and closed <= called.ended <= closed + SLACK
+            yield not called.repeatable, '' if not cut or overlaps(
+                e.stalls[0] + e.events('unplugged', 'cut'), asked - 0.1, closed, 0.1) else \
+                f'{name} of {asked:.3f} ended {called.name} of {called.time:.3f}'
 
 
 def a_stop_is_repeated(e: Evidence) -> Verdicts:
@@ -278,7 +430,9 @@ def unheard_moves_are_not_late(e: Evidence) -> Verdicts:
             continue
         sent = [frame.time for frame in e.wrote
                 if (frame.type, frame.number, frame.data) == called.request]
-        if len(sent) != 1 or any(sent[0] <= each <= called.ended for each in reads):
+        # One that a stop has ended is followed by the stop.
+        if len(sent) != 1 or called.ended < sent[0] + called.longest / 3 - SLACK or any(
+                sent[0] <= each <= called.ended for each in reads):
             continue
         late = [frame.time for frame in e.got if frame.time > called.ended + 0.015
                 and (frame.type, frame.number, frame.data) == called.request]
@@ -329,15 +483,14 @@ def refusals_are_confirmed(e: Evidence) -> Verdicts:
     for called in e.story.calls:
         asked[called.request] = asked.get(called.request, 0) + 1
     for called in e.story.calls:
-        outcome = called.call.outcome
         sent = [frame.time for frame in e.wrote
                 if (frame.type, frame.number, frame.data) == called.request]
-        if asked[called.request] > 1 or outcome is None or not called.ended \
+        if asked[called.request] > 1 or not called.told \
                 or called.name in ('sync', 'environment', 'halt'):      # others send them, too
             continue
-        if outcome.status == 253:
+        if called.told.word == 'not sent':
             yield 1, '' if not sent else f'{called.name} of {called.time:.3f} was sent at {sent}'
-        elif outcome.status == INVALID:
+        elif called.told.word == 'refused':
             refused = [each for each in invalids if sent and sent[-1] <= each <= called.ended]
             right = refused and any(refused[-1] <= each <= called.ended for each in echoes)
             yield 1, '' if right else \
@@ -366,6 +519,6 @@ def a_board_without_echo_gets_no_call(e: Evidence) -> Verdicts:
     for called in e.story.calls:
         if called.ended and called.name not in ('halt', 'sync', 'echo'):
             yield 1, '' if told(called) == 'refused' else \
-                f'{called.name} of {called.time:.3f}: {called.call.outcome}'
+                f'{called.name} of {called.time:.3f}: {called.told}'
     for time, report in e.story.reports:
         yield 1, '' if report['condition'] != 'ok' else f'ok at {time:.3f}'

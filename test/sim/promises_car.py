@@ -1,21 +1,25 @@
 """What is promised of the car: its motor, its commands, its calibration."""
 import struct
 from bisect import bisect_left
-from typing import Dict, List
+from math import isfinite
+from typing import Dict, List, Optional
 
-from evidence import Evidence, longer, merged, overlaps
-from promises import (ANNOUNCEMENT, CALIBRATION, FRESH, FUNCTION, GRIPPER, HEARTBEAT,
-                      IMU, LED, MOVES, SETTING, SLACK, SPEED, STALL, STEERING, TIMEOUT, Verdicts,
-                      speed_of, speeds)
+from evidence import At, Evidence, longer, merged, overlaps
+from promises import (ANNOUNCEMENT, CALIBRATION, DRIVE, FRESH, FUNCTION, GRIPPER, HEARTBEAT, IMU,
+                      LED, MOVES, SETTING, SLACK, SPEED, STALL, STEERING, TIMEOUT, Verdicts,
+                      is_zero, speed_of, speeds)
+from promises_data import implausible
+from scenario import Command
 
 
 def heartbeats_in_time(e: Evidence) -> Verdicts:
     """No gap of 30 ms between heartbeats while the port is open and the bridge runs."""
     beats = [frame.time for frame in e.of_type(e.wrote, HEARTBEAT)]
+    resets = [(asked, asked + 0.2) for asked, _, name, task in e.story.tasks if name == 'reset']
     for begin, end in e.openings:
         times = [begin, *(each for each in beats if begin <= each <= end)]
         for last, beat in zip(times, times[1:]):
-            excused = overlaps(e.stalls[1], last, beat, SLACK)
+            excused = overlaps(e.stalls[1] + resets, last, beat, SLACK)
             yield not excused, '' if excused or beat - last < 0.03 else \
                 f'no heartbeat from {last:.3f} to {beat:.3f}'
         if end - times[-1] >= 0.05 and not overlaps(
@@ -24,56 +28,75 @@ def heartbeats_in_time(e: Evidence) -> Verdicts:
 
 
 def speed_0_first(e: Evidence) -> Verdicts:
-    """SPEED 0 is the first packet whenever the port opens."""
+    """SPEED 0 is the first packet whenever the port opens, but for zeros of other motions."""
     for begin, end in e.openings:
-        first = next((frame for frame in e.wrote if begin <= frame.time <= end), None)
+        first = _first_but_zeros([frame for frame in e.wrote if begin <= frame.time <= end])
         if first:
-            yield 1, '' if first.type == SPEED and speed_of(first) == 0 else \
+            yield 1, '' if is_zero(first) else \
                 f'the first packet at {first.time:.3f} has type {first.type}'
+
+
+def _first_but_zeros(frames: List[At]) -> Optional[At]:
+    """SPEED 0 if nothing is before it but zeros of other motions; else the first of the others."""
+    return next((frame for frame in frames if frame.type == SPEED or not is_zero(frame)), None)
 
 
 def speeds_are_commanded(e: Evidence) -> Verdicts:
     """Every SPEED but 0 was commanded just then, saturated to ±1000, and is sent once."""
-    accepted: Dict[int, List[float]] = {}
+    return _commanded(e, 'speed', SPEED)
+
+
+def motions_are_commanded(e: Evidence) -> Verdicts:
+    """So was every motion of a row, and none leaves that a limit forbids."""
+    return _commanded(e, 'drive', DRIVE)
+
+
+def _commanded(e: Evidence, name: str, type_: int) -> Verdicts:
+    accepted: Dict[bytes, List[float]] = {}
     for command in e.story.commands:
-        if command.name == 'speed' and not command.refused and command.value:
-            accepted.setdefault(min(max(command.value, -1000), 1000), []).append(command.time)
-    for frame in speeds(e):
-        value = speed_of(frame)
-        if value:
-            times = accepted.get(value, [])
+        if command.name == name and not command.refused:
+            accepted.setdefault(_wire_value(name, command.value), []).append(command.time)
+    for frame in e.of_type(e.wrote, type_):
+        if not is_zero(frame):
+            times = accepted.get(frame.data, [])
             at = next((time for time in times if time <= frame.time <= time + SLACK
                        or time <= frame.time and overlaps(e.suspended, time, frame.time)), None)
             yield 1, '' if at is not None else \
-                f'SPEED {value} at {frame.time:.3f}, commanded at {times}'
+                f'{name} {frame.data.hex()} at {frame.time:.3f}, commanded at {times}'
             if at is not None:
                 times.remove(at)
 
 
 def no_old_speed_arrives(e: Evidence) -> Verdicts:
-    """No SPEED but 0 reaches the board over 0.7 s after its command."""
-    times = {command.value: command.time for command in e.story.commands
-             if command.name == 'speed' and abs(command.value) < 1000}
+    """No motion but a zero reaches the board over 0.7 s after its command."""
+    times = {(_TYPES[command.name], _wire_value(command.name, command.value)): command.time
+             for command in e.story.commands if command.name in ('speed', 'drive')
+             and not command.refused and not _is_saturated(command)}
     if any(e.story.device.damage_sent):
-        return      # a damaged SPEED may be another one
+        return      # a damaged one may be another one
     blocked, kind = e.events('blocked'), e.story.device.kind
-    for frame in e.of_type(e.got, SPEED):
-        sent = times.get(speed_of(frame))
-        if sent is None or not speed_of(frame):
+    for frame in e.of_type(e.got, SPEED, DRIVE):
+        sent = times.get((frame.type, frame.data))
+        if sent is None or is_zero(frame):
             continue
         # What a pty or a network hides cannot be taken back. A thread that does not run drops
         # nothing, and the board gets no heartbeats from it.
         excused = overlaps(blocked, sent, frame.time, 0.1) and (
             kind != 'tty' or overlaps(e.stalls[1], sent, frame.time))
         yield not excused, '' if excused or frame.time <= sent + 0.7 else \
-            f'SPEED {speed_of(frame)} of {sent:.3f} reached the board at {frame.time:.3f}'
+            f'type {frame.type} {frame.data.hex()} of {sent:.3f} came at {frame.time:.3f}'
 
 
 def speed_times_out(e: Evidence) -> Verdicts:
-    """SPEED 0 within speed_timeout + 50 ms of the last command, and not sooner without a cause."""
-    sent = speeds(e)
+    """SPEED 0 within speed_timeout + 50 ms of the last command."""
+    return times_out(e, SPEED)
+
+
+def times_out(e: Evidence, type_: int) -> Verdicts:
+    """Whether the zero of this type follows its commands in time."""
+    sent = e.of_type(e.wrote, type_)
     for frame, following in zip(sent, [*sent[1:], None]):
-        if not speed_of(frame):
+        if is_zero(frame):
             continue
         due = frame.time + TIMEOUT
         end = e.opening_of(frame.time)[1]
@@ -82,16 +105,21 @@ def speed_times_out(e: Evidence) -> Verdicts:
         if not excused:
             at = following.time if following else float('inf')
             yield 1, '' if at <= due + 0.05 else \
-                f'SPEED {speed_of(frame)} of {frame.time:.3f} was followed at {at:.3f}'
+                f'type {type_} {frame.data.hex()} of {frame.time:.3f} was followed at {at:.3f}'
 
 
 def stops_are_repeated(e: Evidence) -> Verdicts:
     """A SPEED 0 that ends a motion is repeated every 50 ms for 1 s, or until another speed."""
-    sent = speeds(e)
+    return repeated(e, SPEED)
+
+
+def repeated(e: Evidence, type_: int) -> Verdicts:
+    """Whether the zeros of this type are repeated."""
+    sent = e.of_type(e.wrote, type_)
     calibrations = [frame.time for frame in e.of_type(e.wrote, CALIBRATION)]
     moving = False
     for index, frame in enumerate(sent):
-        if speed_of(frame):
+        if not is_zero(frame):
             moving = True
             continue
         begins, moving = moving, False
@@ -100,12 +128,14 @@ def stops_are_repeated(e: Evidence) -> Verdicts:
         last = frame
         limit = min(e.opening_of(frame.time)[1], frame.time + 1.0)
         for following in sent[index + 1:]:
-            if following.time > limit or speed_of(following):
+            if following.time > limit or not is_zero(following):
                 break
-            excused = overlaps(e.stalls[1], last.time, following.time, 0.05) \
+            excused = overlaps(e.stalls[1] + [(asked, asked + 0.2) for asked, _, name, _ in
+                                              e.story.tasks if name == 'reset'],
+                               last.time, following.time, 0.05) \
                 or any(frame.time <= each <= following.time for each in calibrations)
             yield not excused, '' if excused or following.time - last.time <= 0.065 else \
-                f'SPEED 0 of {last.time:.3f} was repeated at {following.time:.3f}'
+                f'the zero of {last.time:.3f} was repeated at {following.time:.3f}'
             last = following
         else:
             following = None
@@ -114,18 +144,18 @@ def stops_are_repeated(e: Evidence) -> Verdicts:
             or any(frame.time <= each <= end for each in calibrations)
         if not excused:
             yield 1, '' if end - last.time <= 0.07 else \
-                f'SPEED 0 was repeated at {last.time:.3f} and then not until {end:.3f}'
+                f'the zero was repeated at {last.time:.3f} and then not until {end:.3f}'
 
 
 def a_stall_ends_with_speed_0(e: Evidence) -> Verdicts:
-    """SPEED 0 is the first packet after a stall of over 0.5 s."""
+    """SPEED 0 is the first packet after a stall of over 0.5 s, but for other zeros."""
     for begin, end in longer(e.stalls[1], 0.55):
         opened, closed = e.opening_of(end)
-        first = next((frame for frame in e.wrote if end < frame.time <= closed), None)
+        first = _first_but_zeros([each for each in e.wrote if end < each.time <= closed])
         last = [frame for frame in speeds(e) if opened <= frame.time <= end]
         moves = not last or speed_of(last[-1])
         if first and moves and not overlaps(e.suspended, end, first.time):
-            yield 1, '' if first.type == SPEED and not speed_of(first) else \
+            yield 1, '' if is_zero(first) else \
                 f'after the stall until {end:.3f} type {first.type} came first at {first.time:.3f}'
 
 
@@ -137,8 +167,8 @@ def nothing_moves_while_stopped(e: Evidence) -> Verdicts:
                 if e.kind == 'bus':
                     moves = frame.type == FUNCTION and frame.number in MOVES
                 else:
-                    moves = frame.type == SPEED and speed_of(frame) or frame.type in (
-                        CALIBRATION, 33)
+                    moves = not is_zero(frame) and frame.type in (
+                        SPEED, DRIVE, CALIBRATION, GRIPPER)
                 yield 1, f'type {frame.type} at {frame.time:.3f}, stopped at {begin:.3f}' \
                     if moves else ''
 
@@ -155,7 +185,7 @@ def nothing_follows_a_loan(e: Evidence) -> Verdicts:
         if closed and e.kind == 'arduino' and not overlaps(
                 e.events('unplugged', 'cut', 'blocked') + e.stalls[0], asked - 0.1, closed[0], 0.1):
             last = [frame for frame in e.wrote if frame.time <= closed[0]][-1]
-            yield 1, '' if last.type == SPEED and not speed_of(last) else \
+            yield 1, '' if is_zero(last) else \
                 f'type {last.type} was last before the loan at {closed[0]:.3f}'
 
 
@@ -171,7 +201,7 @@ def a_calibrating_board_is_left_alone(e: Evidence) -> Verdicts:
         opened = e.opening_of(frame.time)
         for other in e.wrote:
             if frame.time < other.time < min(end, opened[1]):
-                still = other.type == HEARTBEAT or other.type == SPEED and not speed_of(other)
+                still = other.type == HEARTBEAT or is_zero(other)
                 yield 1, '' if still else \
                     f'type {other.type} at {other.time:.3f} in a calibration'
 
@@ -180,51 +210,64 @@ def stale_commands_are_refused(e: Evidence) -> Verdicts:
     """What is asked for within 0.5 s after a stall is refused, zeros excepted."""
     for begin, end in longer(e.stalls[1], 0.55):
         for command in e.story.commands:
-            if end < command.time < end + FRESH - SLACK and command.value != 0:
+            if end < command.time < end + FRESH - SLACK and not _is_zero(command):
                 yield 1, '' if command.refused else \
                     f'{command.name} {command.value} at {command.time:.3f}, a stall until {end:.3f}'
 
 
 def values_are_of_this_board(e: Evidence) -> Verdicts:
-    """A value of an announced row is published only while its board is connected."""
-    if e.kind != 'arduino' or not e.story.announces:
+    """A value of an announced row is published only while its board is connected, and has announced
+    it since the opening."""
+    if e.kind == 'bus' or not e.story.announces:
         return
+    chunks = [frame.time for frame in e.of_type(e.readable, ANNOUNCEMENT)]
     for time, name, _values, _stamp in e.story.robot.published:
         if name in ('force', 'push'):
             rows = [rows for since, rows in e.story.boards if since <= time][-1]
-            yield 1, '' if name in rows else f'{name} at {time:.3f}, but the board has {rows}'
+            opened = e.opening_of(time)[0]
+            known = name in rows and any(opened <= each <= time for each in chunks)
+            yield 1, '' if known else f'{name} at {time:.3f}, but the board has {rows}'
 
 
 def announced_rows_wait(e: Evidence) -> Verdicts:
     """Nothing announced is sent before the board has announced it since the opening."""
     if not e.story.announces or e.kind != 'arduino':
         return
-    for frame in e.of_type(e.wrote, 33):
+    for frame in e.of_type(e.wrote, GRIPPER, DRIVE):
         opened = e.opening_of(frame.time)[0]
         chunks = [each for each in e.of_type(e.readable, ANNOUNCEMENT)
                   if opened <= each.time <= frame.time]
-        yield 1, '' if chunks else f'type 33 at {frame.time:.3f}, opened at {opened:.3f}'
-
-
-# -- commands -----------------------------------------------------------------------------------
+        yield 1, '' if chunks else f'type {frame.type} at {frame.time:.3f}, opened at {opened:.3f}'
 
 
 def _wire_value(name: str, value) -> bytes:
     """The data of a packet of this command."""
     if name == 'led':
         return value.encode() + b'\0'
+    if name == 'drive':
+        return struct.pack('<hh', *(min(max(round(each * 1000), -2000), 2000) for each in (
+            value if isfinite(value[0]) else (0.0, 0.0))))
     return struct.pack('<h', min(max(value, -1000), 1000)) if name == 'speed' else \
-        struct.pack('<H', value if name == 'steering' else value[0])
+        struct.pack('<H', value)
 
 
-_TYPES = {'speed': SPEED, 'steering': STEERING, 'led': LED, 'row': GRIPPER}
+_TYPES = {'speed': SPEED, 'steering': STEERING, 'led': LED, 'gripper': GRIPPER, 'drive': DRIVE}
+
+
+def _is_zero(command: Command) -> bool:
+    return command.value in (0, (0.0, 0.0))
+
+
+def _is_saturated(command: Command) -> bool:
+    return abs(command.value) > 1000 if command.name == 'speed' else \
+        not abs(command.value[0]) <= 2.0
 
 
 def commands_arrive_unchanged(e: Evidence) -> Verdicts:
     """Values arrive unchanged, each once, in order, and none that was refused."""
     if any(e.story.device.damage_sent) or any(e.story.device.damage_received):
         return
-    for name in 'steering', 'led', 'row':
+    for name in 'steering', 'led', 'gripper':
         accepted = [_wire_value(name, command.value) for command in e.story.commands
                     if command.name == name and not command.refused]
         index = 0
@@ -244,7 +287,7 @@ def commands_arrive(e: Evidence) -> Verdicts:
     disturbed = e.stalls[1] + e.stalls[0] + e.events('blocked', 'altered', 'cut', 'unplugged') + [
         (asked, asked + 0.1) for asked, _, _, _ in e.story.tasks]
     for command in e.story.commands:
-        if command.name not in _TYPES or command.refused or command.value == 0:
+        if command.name not in _TYPES or command.refused or _is_zero(command):
             continue
         opened, closed = e.opening_of(command.time)
         excused = closed < command.time + 0.2 or overlaps(
@@ -259,8 +302,6 @@ def commands_arrive(e: Evidence) -> Verdicts:
 def refusals_are_true(e: Evidence) -> Verdicts:
     """A command is refused while the port is closed, and never without its cause."""
     device, story = e.story.device, e.story
-    stops = e.events('stop')
-    stops += [(begin, float('inf')) for begin in story.stopped_at[len(stops):]]
     starts = [time for time, on in story.robot.calibrating if on]
     ends = [time for time, on in story.robot.calibrating if not on]
     calibrations = list(zip(starts, [*ends, float('inf')]))
@@ -273,20 +314,26 @@ def refusals_are_true(e: Evidence) -> Verdicts:
                 and not overlaps([(each, each) for each in device.closings], now, now, 0.01):
             yield 1, '' if cause else f'{command.name} at {now:.3f} was accepted, it is closed'
             continue
-        bad = command.name == 'led' and command.value and (
-            len(command.value) > 30 or not command.value.isascii())
-        may = {'': not bad, 'value': bad, 'stopped': overlaps(stops, now, now),
+        bad = command.name == 'led' and (
+            len(command.value) > 30 or not command.value.isascii()) \
+            or command.name == 'drive' and _is_saturated(command)
+        may = {'': not bad, 'value': bad, 'stopped': overlaps(e.stops, now, now),
                'calibrating': overlaps(calibrations, now, now) or command.name == 'calibrate',
                'stall': overlaps(longer(merged(e.stalls[1] + e.stalls[0]), STALL), now, now,
                                  FRESH + 0.11),     # it may wait for its output to leave
                'silent': device.kind == 'pty' and not any(
                    now - limit + 0.2 < each <= now - 0.15 for each in reads),
-               'port': overlaps([(end, end) for _, end in e.openings], now - 0.2, now, 0.2)
+               # A board that runs for long announces a chunk a second.
+               'not announced': story.announces and (now < opened + 14.0 or overlaps(
+                    e.events('silence', 'reset', 'noise', 'unplugged') + e.stalls[0],
+                    now - 14.0, now) or any(device.damage_received)),
+               'port': device.kind == 'network' and overlaps(e.stalls[0], now, now, 0.1)
+               or overlaps([(end, end) for _, end in e.openings], now - 0.2, now, 0.2)
                or not opened < float('inf') or overlaps(
                    [(asked, asked + 0.2) for asked, _, _, _ in story.tasks], now, now)}
-        yield 1, '' if may.get(cause, True) else \
+        yield 1, '' if may.get(cause, cause in ('busy', 'stopping')) else \
             f'{command.name} {command.value} at {now:.3f} was refused: {cause!r}'
-        if cause and command.name in ('steering', 'led', 'row') and not bad:
+        if cause and command.name in ('steering', 'led', 'gripper') and not bad:
             data = _wire_value(command.name, command.value)
             sent = [frame for frame in e.of_type(e.wrote, _TYPES[command.name])
                     if frame.data == data]
@@ -323,6 +370,27 @@ def calibrations_end(e: Evidence) -> Verdicts:
             f'the calibration of {start:.3f} was over at {end:.3f}: {times[-3:]}'
 
 
+def calibrations_end_in_time(e: Evidence) -> Verdicts:
+    """The first IMU data after a silence of 2 s, or after 5 s of data that goes on, ends a
+    calibration at once."""
+    robot = e.story.robot
+    imu = [frame.time for frame in e.of_type(e.read, IMU)
+           if len(frame.data) == 22 and not implausible(frame)]
+    ends = [time for time, on in robot.calibrating if not on]
+    for start in [time for time, on in robot.calibrating if on]:
+        end = min((each for each in ends if each >= start), default=float('inf'))
+        closed = e.opening_of(start)[1]
+        last = start
+        for time in (each for each in imu if each > start):
+            if time > end + SLACK or time > closed - SLACK or overlaps(
+                    e.stalls[0] + e.events('altered', 'noise'), start, time, 0.1):
+                break
+            over = time - last >= 2.0 + SLACK or time - start >= 5.0 + SLACK
+            yield over, '' if not over or end <= time + SLACK else \
+                f'the calibration of {start:.3f} goes on at {time:.3f}, the data before {last:.3f}'
+            last = time
+
+
 def silences_were_observed(e: Evidence) -> Verdicts:
     """A silence that a stall or a closed port has made ends no calibration."""
     ends = [time for time, on in e.story.robot.calibrating if not on]
@@ -345,12 +413,17 @@ def silences_were_observed(e: Evidence) -> Verdicts:
 
 
 def heartbeats_are_regular(e: Evidence) -> Verdicts:
-    """100 heartbeats a second."""
+    """100 heartbeats a second, and never over 13 in 0.1 s, also after a stall."""
     beats = [frame.time for frame in e.of_type(e.wrote, HEARTBEAT)]
+    # The link's thread closes a port that is lent.
+    lent = [stall for stall in e.stalls[0] if overlaps(
+        [(asked, asked) for asked, _, _, _ in e.story.tasks], *stall)]
+    for index, beat in enumerate(beats[:-13]):
+        yield 1, '' if beats[index + 13] > beat + 0.1 else f'13 heartbeats from {beat:.3f} on'
     for opened, closed in e.openings:
         begin = opened
         while begin + 1.0 < closed:
-            if not overlaps(e.stalls[1] + e.events('blocked'), begin, begin + 1.0, 0.2):
+            if not overlaps(e.stalls[1] + lent + e.events('blocked'), begin, begin + 1.0, 0.2):
                 count = bisect_left(beats, begin + 1.0) - bisect_left(beats, begin)
                 yield 1, '' if 98 <= count <= 110 else f'{count} heartbeats from {begin:.3f}'
             begin += 1.0
@@ -365,20 +438,22 @@ def the_end_is_speed_0(e: Evidence) -> Verdicts:
     excused = not opened < ended <= closed + 1e-6 or overlaps(
         e.stalls[1] + e.events('blocked', 'unplugged', 'cut'), ended - 0.1, ended, 0.3)
     last = e.wrote[-1]
-    yield not excused, '' if excused or last.type == SPEED and not speed_of(last) else \
+    yield not excused, '' if excused or is_zero(last) else \
         f'type {last.type} was the last at {last.time:.3f}, the end is at {ended:.3f}'
 
 
 def settings_wait_for_their_board(e: Evidence) -> Verdicts:
     """No setting is sent that its board has not announced since the opening, if it announces."""
-    if not e.story.announces:
+    if e.kind == 'bus' or not e.story.announces:
         return
     for frame in e.of_type(e.wrote, SETTING):
         opened = e.opening_of(frame.time)[0]
         rows = [rows for since, rows in e.story.boards if since <= frame.time][-1]
         chunks = [each for each in e.of_type(e.readable, ANNOUNCEMENT)
                   if opened <= each.time <= frame.time]
-        yield 1, '' if chunks and 'kp' in rows else \
+        # The board may have been exchanged while the bridge was suspended inside the write.
+        excused = any(end == frame.time for _, end in e.suspended)
+        yield not excused, '' if excused or chunks and 'kp' in rows else \
             f'a setting at {frame.time:.3f}, opened at {opened:.3f}: the board has {rows}'
 
 
@@ -401,12 +476,17 @@ def no_stop_without_a_cause(e: Evidence) -> Verdicts:
 
 
 def dropped_output_ends_with_speed_0(e: Evidence) -> Verdicts:
-    """SPEED 0 is the first packet after dropped output."""
-    for time in e.story.device.flushes:
-        first = next((frame for frame in e.wrote if frame.begun > time), None)
+    """SPEED 0 is the first packet after dropped output, and after the settings of a tty were
+    restored, but while the board calibrates."""
+    starts = [time for time, on in e.story.robot.calibrating if on]
+    ends = [time for time, on in e.story.robot.calibrating if not on]
+    for time in e.story.device.flushes + e.story.device.restorations:
+        if overlaps(list(zip(starts, [*ends, float('inf')])), time, time):
+            continue
+        first = _first_but_zeros([frame for frame in e.wrote if frame.begun > time])
         excused = first is None or first.time > e.opening_of(time)[1] or overlaps(
             e.suspended, time, first.time) or any(
             frame.begun == time and frame.type == SPEED and not speed_of(frame)
             for frame in e.wrote)
-        yield not excused, '' if excused or first.type == SPEED and not speed_of(first) else \
+        yield not excused, '' if excused or is_zero(first) else \
             f'type {first.type} at {first.time:.3f} was the first after {time:.3f}'

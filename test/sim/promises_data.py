@@ -1,6 +1,6 @@
 """What is promised of data, settings and ports."""
 import struct
-from typing import Dict, Iterator, List, Tuple
+from typing import Dict, List, Tuple
 
 from evidence import At, Evidence, longer, overlaps
 from promises import FRESH, IMU, SETTING, SLACK, STALL, Verdicts
@@ -8,7 +8,7 @@ from promises import FRESH, IMU, SETTING, SLACK, STALL, Verdicts
 NAMES = {8: ('Ticks',), 7: ('SteeringAngle',), 10: ('Voltage',), 9: ('Imu',), 32: ('force', 'push'),
          0x10: ('SensorStatus',)}
 ALL_NAMES = {name for names in NAMES.values() for name in names}
-_LAYOUTS = {8: '<B', 7: '<H', 10: '<f', 9: '>11h', 32: '<h', 0x10: '<HHhhh'}
+LAYOUTS = {8: '<B', 7: '<H', 10: '<f', 9: '>11h', 32: '<h', 0x10: '<HHhhh'}
 
 
 def raw(e: Evidence, name: str, values: Tuple) -> Tuple:
@@ -21,21 +21,21 @@ def raw(e: Evidence, name: str, values: Tuple) -> Tuple:
 
 
 def on_wire(e: Evidence, frame: At) -> Tuple:
-    numbers = struct.unpack(_LAYOUTS[frame.type], frame.data)
+    numbers = struct.unpack(LAYOUTS[frame.type], frame.data)
     return numbers[:2] if frame.type == 0x10 else numbers
 
 
 def valid(frames: List[At]) -> List[At]:
     """Those whose values may be published."""
     return [frame for frame in frames if frame.type in NAMES
-            and struct.calcsize(_LAYOUTS[frame.type]) == len(frame.data)]
+            and struct.calcsize(LAYOUTS[frame.type]) == len(frame.data)]
 
 
 def values_are_of_frames(e: Evidence) -> Verdicts:
     """Every published value was in a valid frame, once, in order."""
     if e.kind == 'bus':
         return
-    frames, index = valid(e.readable), 0
+    frames, index = [frame for frame in valid(e.readable) if not _doubled(e, frame)], 0
     for time, name, values, _stamp in e.story.robot.published:
         if name not in ALL_NAMES:
             continue
@@ -68,7 +68,8 @@ def frames_are_published(e: Evidence) -> Verdicts:
     for time, name, values, _stamp in e.story.robot.published:
         if name in ALL_NAMES:
             published.setdefault((name, raw(e, name, values)), []).append(time)
-    rows_change = e.events('unplugged', 'reset')
+    rows_change = [(begin, begin + 30.0) for begin, _ in e.events('unplugged')] + [
+        (opened, opened + 14.0) for opened, _ in e.openings]
     for frame in valid(e.read):
         names, wanted = NAMES[frame.type], on_wire(e, frame)
         times = published.get((names[0], wanted)) or published.get((names[-1], wanted), [])
@@ -78,27 +79,37 @@ def frames_are_published(e: Evidence) -> Verdicts:
             yield 1, ''
             continue
         excused = overlaps(e.stalls[0], frame.begun, frame.time, FRESH + 0.11) \
-            or frame.type == 32 and (e.story.announces or rows_change) \
-            or frame.type in (9, 10, 7) and _implausible(frame) or _doubled(e, frame) \
-            or frame.time - frame.begun > 0.04 or e.events('altered', 'noise') \
+            or frame.type == 32 and overlaps(
+                rows_change + e.events('reset', 'silence') + e.stalls[0],
+                frame.time, frame.time, 14.0 if e.story.announces else 0.0) \
+            or frame.type in (9, 10, 7) and implausible(frame) or _doubled(e, frame) \
+            or frame.time - frame.begun > 0.04 or overlaps(
+                e.events('altered'), frame.begun - 1.0, frame.time, 0.6) \
             or any(0.04 < frame.begun - chunk.time < 0.06 for chunk in e.story.device.bridge_read) \
-            or any(abs(frame.time - end) < 0.02 for _, end in e.openings)
+            or any(abs(frame.time - end) < 0.02 for _, end in e.openings) \
+            or any(frame.begun - 0.01 <= each <= frame.time + 0.01
+                   for each in e.story.device.flushes)
         yield not excused, '' if excused else \
             f'{names[0]} {wanted} read at {frame.time:.3f} was not published'
 
 
-def _implausible(frame: At) -> bool:
-    values = struct.unpack(_LAYOUTS[frame.type], frame.data)
-    if frame.type == 9:
+def implausible(frame: At) -> bool:
+    """Whether its values are impossible."""
+    return are_implausible(frame.type, struct.unpack(LAYOUTS[frame.type], frame.data))
+
+
+def are_implausible(type_: int, values: Tuple) -> bool:
+    """Likewise, of the values of a packet of the car."""
+    if type_ == IMU:
         return not 0.95 < sum(each * each for each in values[:4]) ** 0.5 / 16384 < 1.05
-    return not 0 <= values[0] <= (100 if frame.type == 10 else 1024)
+    return not 0 <= values[0] <= (100 if type_ == 10 else 1024)
 
 
 def _doubled(e: Evidence, frame: At) -> bool:
     """The line has doubled a frame with a number: its copy is dropped."""
     return e.kind == 'mcu' and any(
         other.first < frame.first and other.number == frame.number and other.data == frame.data
-        and frame.time - other.time < 0.01 for other in e.read)
+        and frame.time - other.time < 0.01 for other in e.readable)
 
 
 def stamps_are_of_the_read(e: Evidence) -> Verdicts:
@@ -113,7 +124,7 @@ def stamps_are_of_the_read(e: Evidence) -> Verdicts:
 
 
 def stamps_are_of_the_measurement(e: Evidence) -> Verdicts:
-    """With the board's time an undamaged line has stamps at most 5 ms early and 10 ms late."""
+    """With the board's time an undamaged line has stamps within 7 ms of the measurement."""
     device, drift = e.story.device, e.story.drift
     if drift is None or any(device.damage_received) or e.events('noise', 'altered'):
         return
@@ -130,9 +141,10 @@ def stamps_are_of_the_measurement(e: Evidence) -> Verdicts:
         first[opened] = min(first[opened], time)
         # A restart of the board's clock, and a stall, begin anew.
         excused = time < first[opened] + 2.5 or overlaps(
-            longer(e.stalls[0], STALL) + e.events('reset', 'silence'), time - 3.0, time)
+            longer(e.stalls[0], STALL) + e.events('reset', 'silence') + [
+                (each, each) for each in device.flushes], time - 3.0, time)
         at = min(times, key=lambda each: abs(each - stamp))
-        yield not excused, '' if excused or -0.005 <= stamp - at <= 0.01 else \
+        yield not excused, '' if excused or abs(stamp - at) <= 0.007 else \
             f'{name} of {at:.4f} has the stamp {stamp:.4f}, published {time:.4f}'
 
 
@@ -172,6 +184,37 @@ def settings_are_in_use(e: Evidence) -> Verdicts:
             if wanted and seen and name in report['settings']:
                 yield 1, '' if wanted[-1] in seen else \
                     f'{name} is told as confirmed at {time:.3f}: wanted {wanted[-1]}, has {seen}'
+
+
+def setting(name: str, value: float) -> bytes:
+    """The data of a frame that sets this."""
+    return struct.pack('<Bf', 1, value) if name == 'kp' else struct.pack('<BH', 2, int(value))
+
+
+def settings_are_sent(e: Evidence) -> Verdicts:
+    """A wanted setting is sent at once, and 0.2 s later again if the board has not reported it."""
+    if e.kind == 'bus' or e.story.announces:
+        return
+    wants: Dict[str, float] = {}
+    wrote, read = e.of_type(e.wrote, SETTING), e.of_type(e.read, SETTING)
+    disturbed = e.stalls[0] + e.stalls[-1] + e.events('blocked', 'altered', 'unplugged', 'cut') + [
+        (asked, until) for asked, until, _, _ in e.story.tasks] + e.events('silence')
+    for index, (time, name, value) in enumerate(e.story.wants):
+        data, before = setting(name, value), wants.get(name)
+        wants[name] = value
+        opened, closed = e.opening_of(time)
+        following = [at for at, each, _ in e.story.wants[index + 1:] if each == name][:1]
+        times = [frame.time for frame in wrote if frame.data == data and frame.time >= time]
+        excused = before == value or opened > time - 0.5 or closed < time + 0.6 or overlaps(
+            disturbed, time - 0.1, time + 0.6, 0.6) or following and following[0] < time + 0.6 \
+            or any(on and at < time + 0.6 for at, on in e.story.robot.calibrating)
+        yield not excused, '' if excused or times and times[0] <= time + 0.3 else \
+            f'{name} = {value} of {time:.3f} was not sent'
+        if not excused and times and not any(
+                frame.data[:1] == data[:1] and time < frame.time < times[0] + 0.25
+                for frame in read):
+            yield 1, '' if len(times) > 1 and times[1] <= times[0] + 0.3 else \
+                f'{name} = {value} was sent at {times[0]:.3f}, and not again'
 
 
 def settings_leave_room(e: Evidence) -> Verdicts:

@@ -1,9 +1,9 @@
 """What happens to a robot, drawn by a seed: boards, lines, programs that use them, and faults."""
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from adapter import (ControlBoard, ModelCar, Robot, SensorBoard, custom_messages, line_of,
-                     read_functions, settings, write_announcement)
+from adapter import Robot, parts_of, read_functions
 from device import Damage, Device
+from simulated import ControlBoard, ModelCar, SensorBoard, line_of, write_announcement
 from world import World
 
 KINDS = 'tty', 'tty', 'pty', 'network'
@@ -12,6 +12,10 @@ ROWS = {
               'scale': 0.01},
     'gripper': {'type': 33, 'direction': 'to_board', 'ros_type': 'std_msgs/UInt16',
                 'layout': '<H', 'fields': ['data']},
+    # A motion: its zero stops it.
+    'drive': {'type': 34, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Twist',
+              'layout': '<hh', 'fields': ['linear.x', 'angular.z'], 'scale': 0.001,
+              'minimum': -2.0, 'maximum': 2.0},
     'kp': {'setting': 1, 'layout': '<f', 'minimum': 0.0, 'maximum': 10.0},
     'limit': {'setting': 2, 'layout': '<H', 'minimum': 0, 'maximum': 500}}
 FUNCTIONS = {
@@ -34,16 +38,22 @@ class Command(NamedTuple):
     refused: str        # the cause; '': it was accepted
 
 
-class Called:
-    """A call, and what its caller was told: `done`, `refused` or `not known`."""
+class Told(NamedTuple):
+    """What a caller was told."""
 
-    def __init__(self, time: float, name: str, request: Tuple[int, int, bytes],
-                 function: Any, call: Any) -> None:
+    word: str       # `done`, `not sent`, `refused`: by INVALID, `failed`: by ERROR, `not known` …
+    data: bytes
+    text: str
+
+
+class Called:
+    """A call of a program."""
+
+    def __init__(self, time: float, name: str, request: Tuple[int, int, bytes]) -> None:
         self.time, self.name, self.request = time, name, request
-        self.repeatable, self.interrupts = function.repeatable, function.interrupts
-        self.longest = call.tries * call.timeout
-        self.call = call
-        self.ended: Optional[float] = None
+        self.repeatable, self.longest = False, 0.0
+        self.told: Optional[Told] = None        # to its caller
+        self.ended: Optional[float] = None      # when
 
 
 class Event(NamedTuple):
@@ -136,30 +146,26 @@ class Story:
             *(self.random.choice((0.0, 0.002, 0.02)) for _ in range(3)))
         self.device.split = self.random.choice((0.0, 0.3, 0.9))
         self.device.hold = self.random.choice((0.0, 0.0, 0.001, 0.016))
-        self.echoes = self.random.random() < 0.9        # the board of the bus knows ECHO
+        self.echoes = self.random.random() < 0.85        # the board of the bus knows ECHO
         # ppm; the board sends its time.
         self.drift = self.random.choice((None, None, 50, -300, 4000)) if kind != 'bus' else None
         self.far = FarEnd(world, self.device, self.new_board(), damage, self.drift)
         if not calm and kind != 'mcu' and self.random.random() < 0.5:
-            self.device.damage_sent = Damage(*(self.random.choice((0.0, 0.002, 0.01))
-                                               for _ in range(3)))
-        rows = {} if self.announces else ROWS
+            self.device.damage_sent = Damage(*(
+                self.random.choice((0.0, 0.01, 0.05) if kind == 'bus' else (0.0, 0.002, 0.01))
+                for _ in range(3)))
+        rows = {} if self.announces else self._rows()
         parameters: Dict[str, Any] = {}
         if kind == 'bus':
-            parameters = {'environment_period': self.random.choice((0.0, 0.3, 1.0)),
+            parameters = {'environment_period': self.random.choice((0.0, 0.06, 0.3, 1.0)),
                           'echo': self.random.random() < (0.95 if self.echoes else 0.4),
                           'announcements': self.announces}
         else:
-            parameters = {'network_silence': self.random.choice((5.0, 5.0, 1.5))}
+            parameters = {'network_silence': self.random.choice((5.0, 1.5, 1.5))}
         if kind == 'arduino':
             parameters['calibration_timeout'] = self.random.choice((900.0, 900.0, 4.0))
         self.parameters = parameters
         self.robot = Robot(world, self.device, kind, rows, self.random.random() < 0.5, **parameters)
-        if kind != 'bus' and not self.announces:
-            for setting in settings({name: row for name, row in ROWS.items() if 'setting' in row}):
-                self.robot.link.board_settings.add(setting)
-        if kind == 'bus' and not self.announces:
-            self.robot.use_functions(FUNCTIONS, False)
         # Of each report what the line and the taps had by then.
         self.counted: List[Tuple[float, Dict[str, Any], int, int, int, int]] = []
 
@@ -171,7 +177,7 @@ class Story:
                              len(self.robot.tapped), len(self.robot.published)))
 
     def new_board(self, rows: Optional[Dict[str, Any]] = None) -> Any:
-        rows = rows or (FUNCTIONS if self.kind == 'bus' else ROWS)
+        rows = rows or self._rows()
         self.boards.append((self.world.time, list(rows)))
         text = write_announcement(rows, 'judged 1') if self.announces else None
         seed = self.random.randrange(2 ** 31)
@@ -179,13 +185,19 @@ class Story:
             return ControlBoard(lift_speed=self.random.choice((100.0, 1000.0)), gimbal_speed=900.0,
                                 seed=seed, echoes=self.echoes, custom=read_functions(rows),
                                 announcement=text)
-        own = custom_messages({name: row for name, row in rows.items() if 'setting' not in row})
-        its_settings = settings({name: row for name, row in rows.items() if 'setting' in row})
+        custom, settings = parts_of(rows)
+        own = {'custom': custom, 'settings': settings, 'announcement': text, 'seed': seed}
         if self.kind == 'mcu':
-            return SensorBoard(self._hertz, seed=seed, announcement=text, settings=its_settings)
-        # One that calibrates for no time sends on.
-        return ModelCar(self.random.choice((8.0, 8.0, 3.0, 0.001)), seed, own, announcement=text,
-                        settings=its_settings, period=1 / self._hertz)
+            return SensorBoard(self._hertz, **own)
+        # One that calibrates for no time sends on; less than 2 s is no calibration.
+        return ModelCar(self.random.choice((8.0, *(
+            self.random.uniform(1.0, most) for most in (2.2, 3.5)), 0.001)), **own,
+                        period=1 / self._hertz)
+
+    def _rows(self) -> Dict[str, Any]:
+        """Of the board at first: the sensors' reads settings alone."""
+        return FUNCTIONS if self.kind == 'bus' else ROWS if self.kind == 'arduino' else {
+            name: row for name, row in ROWS.items() if row.get('direction') != 'to_board'}
 
     # -- what happens ---------------------------------------------------------------------------
 

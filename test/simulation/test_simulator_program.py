@@ -68,71 +68,6 @@ def test_wrong_arguments_end_it_with_status_2_and_the_reason(arguments, says):
     assert says in result.stderr.splitlines()[-1] and 'Traceback' not in result.stderr
 
 
-_BEACON = '''"""A board of another package: it says hello ten times a second."""
-from serial_communication.simulation.board import Board, positive
-from serial_communication.transport.pace import Every
-
-
-class Beacon(Board):
-    NAME = SUMMARY = 'beacon'
-    FAULTS = 'drop=0.1'
-    READS = False
-
-    def __init__(self, rate):
-        super().__init__()
-        self.beat = Every(1 / rate, 0.0)
-
-    @classmethod
-    def add_options(cls, parser):
-        parser.add_argument('--rate', type=positive, default=100.0, help='hellos a second')
-
-    @classmethod
-    def from_options(cls, options):
-        return cls(options.rate)
-
-    def advance(self, now):
-        if self.beat.passed(now):
-            self.send(b'hello ', None)
-        return self.beat.due
-
-    def fields(self, frame, message):
-        return {}
-
-
-BOARD = Beacon
-'''
-
-
-_DESCRIPTION = """\
-from serial_communication.boards.description import Description
-DESCRIPTION = Description('light', __name__, None)
-"""
-
-
-@pytest.fixture
-def elsewhere(tmp_path, monkeypatch):
-    """A folder on Python's path for the board of another package."""
-    folder = tmp_path / 'elsewhere' / 'beacon'
-    folder.mkdir(parents=True)
-    (folder / '__init__.py').write_text(_DESCRIPTION)
-    monkeypatch.setenv('PYTHONPATH', f'{folder.parent}:{os.environ.get("PYTHONPATH", "")}')
-    return folder
-
-
-def test_a_board_of_another_package_runs_and_has_its_help(elsewhere, start, tty):
-    path, near = tty
-    (elsewhere / 'simulator.py').write_text(_BEACON)
-    # --config is accepted though not used, since a launch file passes it to all boards.
-    start('beacon', '--port', path, '--rate', '200', '--fault', 'drop=0.2',
-          '--config', os.path.join(ROOT, 'config', 'bridge.yaml'))
-    received = b''
-    while b'hello hello' not in received:
-        received += os.read(near, 100)
-    says = run('beacon', '--help').stdout
-    assert 'hellos a second' in says and 'says hello ten times' in says and 'drop=0.1' in says
-    assert 'stall' not in says      # a fault that a board that only sends cannot have
-
-
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_a_working_simulator_cleanly(start, tty, tmp_path, number):
     simulator = start('arduino', '--port', tty[0], '--journal', 'journal', '--fault', 'all',
@@ -148,13 +83,6 @@ def test_a_signal_ends_a_working_simulator_cleanly(start, tty, tmp_path, number)
     assert entries[0]['seed'] == 3 and entries[0]['faults']['flip'] == '0.001'
     assert entries[-1]['ev'] == 'end' and entries[-1]['frames'] > 0
     assert all(isinstance(entry['t'], float) for entry in entries)
-
-
-def test_a_signal_ends_a_waiting_simulator_cleanly(start):
-    simulator = start('bus', '--port', '/nowhere/ttyV1')
-    until(simulator.text, 'a line')
-    assert simulator.end() == 0
-    assert simulator.text() == 'bus: /nowhere/ttyV1: there is no such device; waiting for it\n'
 
 
 def test_it_waits_for_an_absent_port(start, tty, tmp_path):

@@ -103,9 +103,3 @@ def test_robot_programs_are_installed():
     own = {'bench', 'demo', 'pictures', 'soak', 'test'}
     assert programs - own == set(
         re.findall(r'^    scripts/(\S+)$', cmake, re.MULTILINE))
-
-
-def test_every_folder_with_modules_is_a_package():
-    """setup.py finds only packages."""
-    assert [folder for folder in {path.parent for path in PACKAGE.rglob('*.py')}
-            if not (folder / '__init__.py').exists()] == []

@@ -3,9 +3,9 @@ import io
 import re
 
 import pytest
-from serial_communication.link.outcome import Verdict
-from serial_communication.tools.demo.state import Calls, Demo, PageAddress
+from serial_communication.tools.demo.state import Demo
 from serial_communication.tools.watch import table
+from serial_communication.tools.watch.calls import Verdict
 from serial_communication.tools.watch.state import LinkState
 from serial_communication.tools.watch.table import Screen
 
@@ -79,14 +79,6 @@ def test_links_and_calls_come_first_and_are_never_left_out(size):
     assert places[-1] < next(at for at, line in enumerate(shown) if line.startswith('serial_msg'))
 
 
-@pytest.mark.parametrize('state', [idle(), busy()], ids=['nothing yet', 'busy'])
-def test_no_topic_is_left_out_on_80_by_24(state):
-    shown = text(state, 80, 24)
-    for each in state.bridge.topics:
-        if not each.topic.optional:
-            assert each.topic.name.split('/')[-1] in shown
-
-
 def test_a_link_shows_its_status_and_counters():
     by_link = {line.text.split()[0]: line for line in lines(busy(), 200, 60) if line.text}
     assert by_link['bus'].style == 'good'
@@ -98,11 +90,6 @@ def test_a_link_shows_its_status_and_counters():
     assert by_link['mcu'].style == 'bad'
     assert 'ERROR closed: no such file' in by_link['mcu'].text and 'lost 6' in by_link['mcu'].text
     assert 'read delay 8.31 ms' in by_link['mcu'].text
-
-
-def test_a_link_that_is_no_longer_reported_is_stale():
-    line = next(line for line in lines(busy(), 200, 60, now=NOW + 5) if 'ready' in line.text)
-    assert line.text.startswith('bus     STALE reported 5.0 s ago: ready') and line.style == 'bad'
 
 
 def test_a_stale_topic_shows_its_age_and_a_latched_one_does_not():
@@ -117,47 +104,6 @@ def test_a_stale_topic_shows_its_age_and_a_latched_one_does_not():
     latched = state.bridge.topic('~imu/calibrating')
     latched.count, latched.rate, latched.last_at = 1, 0.0, 0.0
     assert re.search('^~imu/calibrating +once  value', text(state, 80, 50), re.M)
-
-
-def test_topics_of_links_that_are_off_are_not_shown():
-    state = idle(boards='real', links=('bus',), moves=False)
-    shown = text(state, 80, 50)
-    assert '~environment' in shown and '~imu' not in shown and 'mcu' not in shown
-    assert 'none: real boards are not moved' in shown
-    assert not state.calls
-
-
-def test_topics_without_data_and_calls_without_success_are_missing():
-    assert busy().missing() == []
-    state = busy()
-    state.bridge.topic('~imu').count = 0
-    state.calls['lift'] = Calls()
-    state.calls['lift'].answered('up 20 mm', Verdict.NOT_KNOWN, 'no reply', 5.0)
-    assert state.missing() == ['no data on ~imu', 'no successful answer from lift: up 20 mm: '
-                               'not known: no reply, after 5.00 s (0 done, 1 not known)']
-    assert len(Demo().missing()) == len(Demo().bridge.topics) - 1 + 2
-    # Real boards are not moved without --move.
-    assert not any('answer' in each for each in Demo(moves=False).missing())
-
-
-def test_a_topic_that_the_bridge_does_not_publish_is_missing():
-    state = busy()
-    state.bridge.set_topics([each.topic for each in state.bridge.topics
-                             if each.topic.name != '~voltage'])
-    assert state.missing() == []     # it was published before, and its count stays
-    state = Demo()
-    state.bridge.set_topics([])
-    assert 'no data on ~imu' in state.missing()
-
-
-def test_the_links_are_open_only_if_each_one_is():
-    state = idle()
-    assert not state.links_open()
-    for name in ('bus', 'arduino', 'mcu'):
-        state.bridge.set_link(name, LinkState(1, 'open, the board is silent', {}, NOW))
-    assert state.links_open()
-    state.bridge.set_link('mcu', LinkState(2, 'closed', {}, NOW))
-    assert not state.links_open()
 
 
 class Terminal(io.StringIO):
@@ -185,34 +131,3 @@ def test_a_terminal_is_redrawn_in_place_and_restored(monkeypatch):
     assert redraw.count('\n') <= 23     # or it would scroll
     screen.close(busy().bridge, busy().heading(NOW), NOW)
     assert out.getvalue().endswith('\033[?25h\r\n')
-
-
-def test_an_output_that_is_no_terminal_gets_a_plain_report_every_five_redraws():
-    out = io.StringIO()
-    screen = Screen(out)
-    for _ in range(10):
-        draw(screen, busy())
-    screen.close(busy().bridge, busy().heading(NOW), NOW)
-    assert '\033' not in out.getvalue()
-    assert out.getvalue().count('17 of 17 topics carry data') == 2
-    assert 'topic ' in out.getvalue()
-
-
-def test_the_latest_address_of_the_page_is_shown(tmp_path):
-    log = tmp_path / 'log'
-    state = running(Demo(page=PageAddress(str(log))))
-
-    def shown():
-        return [line.text for line in lines(state, 100, 30) if 'In a browser' in line.text]
-    assert shown() == []
-    with log.open('w') as out:
-        for text, address in (
-                ('panel: http://127.0.0.1:8080/#one\n', 'http://127.0.0.1:8080/#one'),
-                ('[INFO] arduino says "panel: http://evil/"\npanel: waiting for http://a:1\n',
-                 'http://127.0.0.1:8080/#one'),
-                ('panel: http://127.0.0.1:8080/#tw', None), ('o\n', None)):
-            out.write(text)
-            out.flush()
-            if address:
-                assert shown() == ['In a browser:  ' + address]
-    assert shown() == ['In a browser:  http://127.0.0.1:8080/#two']

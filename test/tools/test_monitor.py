@@ -1,7 +1,6 @@
 """The monitor: reports of a bridge that disappears or returns, and the list of others; no ROS."""
-import pytest
 
-from serial_communication.tools.monitor import cli, report
+from serial_communication.tools.monitor import report
 from serial_communication.tools.watch.live import Outages
 from serial_communication.tools.watch.state import BridgeState, ERROR, LinkState
 
@@ -18,29 +17,6 @@ def test_a_bridge_that_disappears_and_returns_is_reported_once_each():
     assert outages.notes()[0].text.endswith('the bridge is back, after 60 s')
     assert outages.update('', 64.0, 64.0) == '' and outages.notes()
     assert outages.update('silent', 64.0, 70.0) == 'silent' and outages.notes() == ()
-
-
-def test_a_bridge_that_runs_from_the_beginning_is_reported_once():
-    outages = Outages()
-    assert outages.update('', 1.0, 1.0) == 'the bridge is there'
-    assert outages.update('', 2.0, 2.0) == ''
-
-
-@pytest.mark.parametrize('publishers, note', [
-    ([], ''), ([['/rosout', ['/serial_communication']]], ''),
-    ([['/serial_msg', ['/serial_communication', '/car']]], ''),
-    ([['/serial_msg', ['/car']], ['/b/serial_msg', ['/b/car']]],
-     'no bridge /serial_communication; these run: --node /b/car, --node /car')])
-def test_where_the_default_bridge_does_not_run_the_others_are_listed(
-        monkeypatch, publishers, note):
-    class Master:
-        def __init__(self, _name):
-            pass
-
-        def getSystemState(self):
-            return publishers, [], []
-    monkeypatch.setattr(cli.rosgraph, 'Master', Master)
-    assert cli._other_bridges() == note
 
 
 def test_a_report_has_the_diagnostics_and_parameters_but_no_secret_and_no_host():

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import termios
 import threading
-import time
 import tty
 
 import pytest
@@ -21,11 +20,9 @@ from serial_communication.boards import description
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.tools.ports import advice, cli, report
-from serial_communication.tools.ports.devices import Device
+from serial_communication.tools.ports import advice, cli
 from serial_communication.tools.ports.holders import Holder, holders_of
-from serial_communication.tools.ports.listening import Candidate, Received
-from serial_communication.tools.ports.report import Found
+from serial_communication.tools.ports.listening import Candidate
 from waiting import until
 
 pytestmark = pytest.mark.slow      # the program listens for seconds
@@ -211,49 +208,6 @@ def test_a_port_that_another_program_has_open_is_named_and_not_touched(board, tm
 
 
 BOARDS = {name: Candidate(description(name), {}) for name in ('bus', 'arduino', 'mcu')}
-CLONES = [Found(Device(f'/dev/ttyUSB{number}', '/dev/serial/by-id/usb-1a86_USB_Serial-if00-port0',
-                       f'/dev/serial/by-path/pci-{number}', 'USB Serial', '1a86:7523'),
-                [], Received(name, 115200, 500))
-          for number, name in enumerate(('arduino', 'mcu'))]
-
-
-def test_adapters_without_a_serial_number_are_named_by_their_socket():
-    text = report.as_text(CLONES, BOARDS, 2.0, False, '')
-    assert text.count('the same for every adapter of this kind') == 2
-    assert {name: each['port'] for name, each in to_paste(text).items()} == {
-        'arduino': '/dev/serial/by-path/pci-0', 'mcu': '/dev/serial/by-path/pci-1'}
-    assert 'USB Serial (1a86:7523)' in text
-    same = [CLONES[0], CLONES[1]._replace(heard=CLONES[0].heard)]
-    assert ('note: arduino is on several ports; the first is taken: /dev/serial/by-path/pci-0'
-            in report.as_text(same, BOARDS, 2.0, False, ''))
-
-
-def test_an_adapter_with_a_serial_number_is_named_by_it():
-    one = Found(Device('/dev/ttyUSB0', '/dev/serial/by-id/usb-FTDI_A5005A00', '/dev/serial/x',
-                       'FTDI', '0403:6001', 'A5005A00'), [Holder(12, 'screen')], Received())
-    assert json.loads(report.as_json([one]))[0]['name'] == one.device.by_id
-    text = report.as_text([one], BOARDS, 2.0, True, '')
-    assert 'open in  screen (pid 12)' in text
-    assert 'No board was found. End the programs that have a port open' in text
-
-
-def test_what_makes_a_port_slow_or_stolen_has_its_remedy(tmp_path, monkeypatch):
-    (tmp_path / 'ttyUSB0').mkdir()
-    timer = tmp_path / 'ttyUSB0' / 'latency_timer'
-    monkeypatch.setattr(advice, '_LATENCY', str(tmp_path / '{}' / 'latency_timer'))
-    monkeypatch.setattr(advice, '_PROCESSES', str(tmp_path / 'comm*'))
-    assert advice.of_port('/dev/ttyUSB0') == []
-    timer.write_text('1\n')
-    assert advice.of_port('/dev/ttyUSB0') == []
-    timer.write_text('16\n')
-    assert f'16 ms, unless the program that opens the port may change that: echo 1 | sudo tee ' \
-        f'{timer}' in advice.of_port('/dev/ttyUSB0')[0]
-    assert advice.of_computer() == []
-    (tmp_path / 'comm1').write_text('ModemManager\n')
-    (tmp_path / 'comm2').write_text('brltty\n')
-    modems, braille = advice.of_computer()
-    assert 'sudo systemctl disable --now ModemManager' in modems
-    assert 'sudo apt-get remove brltty' in braille
 
 
 @pytest.mark.parametrize('mode, group, words', [
@@ -289,17 +243,6 @@ def test_a_computer_without_a_serial_port_is_no_error(monkeypatch, capsys, optio
     monkeypatch.setattr(cli.devices, 'devices', lambda: [])
     assert cli.main(options) == 0
     assert capsys.readouterr().out.startswith(words)
-
-
-def test_a_port_given_by_a_link_has_the_names_of_its_device(board, monkeypatch, capsys):
-    path = board('port', MCU).path
-    device = Device(os.path.realpath(path), '', '/dev/serial/by-path/pci-7')
-    monkeypatch.setattr(cli.devices, 'devices', lambda: [device])
-    began = time.monotonic()
-    assert cli.main(['--json', '--seconds', '60', path]) == 0
-    port, = json.loads(capsys.readouterr().out)
-    assert (port['port'], port['name'], port['board']) == (path, device.by_path, 'mcu')
-    assert time.monotonic() < began + 50, 'it ends as soon as all boards are recognised'
 
 
 @pytest.mark.parametrize('arguments, words', [

@@ -8,9 +8,7 @@ import pytest
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing import cobs
-from serial_communication.framing.announcement import TYPE, chunks_of
+from serial_communication.framing.announcement import chunks_of
 from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NotHex
 from waiting import PATIENCE
@@ -154,25 +152,6 @@ def test_a_wrong_checksum_is_shown_with_the_right_one():
     assert re.search(r'99 +CRC +153 +should be 0x98', done.stdout)
 
 
-def test_a_zero_encoded_by_cobs_is_shown_in_the_decoded_column():
-    voltage = cobs.encode(b'\x0a' + b'\0\0\x40\x41') + b'\0'      # 12 V
-    done = run('arduino', voltage.hex())
-    assert done.returncode == 0
-    assert 'on the wire' in done.stdout and 'decoded' in done.stdout
-    assert re.search(r'01 03 40 41 +00 00 40 41 +value +12 V', done.stdout), done.stdout
-
-
-def test_bytes_in_no_frame_are_one_part_named_noise():
-    each = only('bus', b'\x11\x22\x33')
-    assert [part.name for part in each.parts] == ['noise'] and each.trouble
-
-
-def test_zeros_are_noise_except_between_arduino_packets():
-    assert only('mcu', bytes(3)).trouble and only('bus', bytes(1)).trouble
-    assert explain.explain(bytes(3), settings('arduino')) == []
-    assert run('arduino', '00').stdout == 'only empty packets\n'
-
-
 def test_a_packet_inside_an_invalid_one_is_not_shown_as_valid():
     """Noise before a packet makes it invalid, though the same packet follows."""
     ticks = '03 08 02 00 '
@@ -180,10 +159,6 @@ def test_a_packet_inside_an_invalid_one_is_not_shown_as_valid():
         found = explain.explain(hexed(before + ticks), settings('arduino'), False)
         assert [each.frame.raw for each in found if not each.trouble] == [hexed(ticks)]
         assert b''.join(each.frame.raw for each in found)[-4:] == hexed(ticks)
-
-
-def test_long_noise_is_shown_completely():
-    assert len(only('mcu', b'\x11' * 3000).frame.raw) == 3000
 
 
 def test_a_reply_is_explained_by_the_request_before_it():
@@ -205,43 +180,6 @@ def test_announced_messages_are_known_in_all_of_the_bytes():
     found = explain.explain(message + chunks, settings('arduino'))
     assert value_of(found[0], 'data') == 12.34 and not found[0].trouble
     assert explain.explain(message + chunks[:-1], settings('arduino'))[0].trouble
-
-
-def test_settings_that_a_board_announces_are_known_in_both_directions():
-    chunks = b''.join(map(arduino.encode, chunks_of(b'kp: {setting: 1, layout: "<f"}\n', 20)))
-    packet = arduino.encode_raw(253, b'\1' + struct.pack('<f', 2.2))
-    found = explain.explain(packet + chunks, settings('arduino'))
-    assert value_of(found[0], 'kp') == pytest.approx(2.2) and not found[0].trouble
-    frame = mcu.encode_raw(253, 7, b'\2\x64\0')
-    each = only('mcu', frame, parameters={'settings': {'ramp': {'setting': 2, 'layout': '<H'}}})
-    assert value_of(each, 'ramp') == 100 and str(each.frame.message) == 'setting number=2 ramp=100'
-
-
-def test_functions_that_the_bus_board_announces_are_known():
-    frames = b''.join(
-        bus.encode_request(bus.Request(bus.FUNCTION, TYPE, bytes([chunk.index])))
-        + bus.encode_reply(bus.Reply(bus.OK, chunk.pack())) for chunk in chunks_of(PUMP, 20))
-    pump = bus.encode_request(bus.Request(bus.FUNCTION, 0x30, b'\x01'))
-    *_, last = explain.explain(frames + pump, settings('bus'))
-    assert value_of(last, 'data') == 1
-
-
-@pytest.mark.parametrize('link, frame', [
-    ('arduino', arduino.encode(arduino.Time(123456, 16))), ('mcu', mcu.encode(mcu.Time(123456), 7)),
-    ('arduino', arduino.encode_raw(40, b'\x01\0\x40\xe2\x01\0'))])
-def test_the_time_of_a_board_is_explained(link, frame):
-    rows = {'messages': {'force': {'type': 40, 'ros_type': 'a/B', 'layout': '<hI',
-                                   'fields': ['x', '@time']}}}
-    one = only(link, frame, parameters=rows)
-    assert value_of(one, '@time') == 123456 and '@time=123456 us' in one.frame.text
-
-
-def test_the_direction_can_be_set():
-    frame = 'a50002a7'
-    assert run('bus', frame).stdout.startswith('from the board')
-    done = run('bus', '--sent', frame)
-    assert done.returncode == 1 and done.stdout.startswith('from the computer')
-    assert run('bus', '--received', 'a5025522d0').returncode == 1
 
 
 def test_replies_with_cmd2_need_their_option():
@@ -276,7 +214,3 @@ def test_the_status_says_whether_all_is_valid_and_usable():
         done = run(*arguments)
         assert done.returncode == 2 and 'Traceback' not in done.stderr
     assert len(run('bus', 'hello').stderr.splitlines()) == 1
-
-
-def test_a_pipe_has_no_colours():
-    assert '\033' not in run('mcu', '11').stdout

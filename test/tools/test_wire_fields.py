@@ -1,6 +1,4 @@
 """The parts of valid, invalid and incomplete frames, of noise, and of frames of another board."""
-import struct
-from math import isnan
 
 import crane_scale
 import pytest
@@ -8,12 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.description import Description
-from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.layout import Value, message_class
-from serial_communication.framing.stream import UNKNOWN, Good, Need, StreamDecoder
-from serial_communication.tools.wire.fields import NOT_KNOWN, Explainer
+from serial_communication.tools.wire.fields import Explainer
 from serial_communication.tools.wire.lines import Settings
 from wire_lines import settings
 
@@ -67,98 +60,3 @@ def test_the_parts_of_any_bytes_are_complete_and_an_incomplete_frame_has_an_erro
         decoder = LINES[line].decoder
         decoder.reset()
         assert [each.raw for each in decoder.feed(frame)] == [frame]
-
-
-@pytest.mark.parametrize('damage, name', [
-    (1, 'Datelen'), (2, 'Checksum'), (5, 'Checksum'), (6, 'Checksum')])
-def test_the_damaged_part_of_a_request_has_the_error(damage, name):
-    frame = bytearray(bus.encode_request(bus.lift(0, 100)))
-    frame[damage] ^= 0xFD if damage == 1 else 0x10
-    parts = LINES['bus, sent'].parts(bytes(frame))
-    assert [part.name for part in parts if part.error][0] == name
-
-
-def test_a_move_has_its_direction_in_words():
-    parts = LINES['bus, sent'].parts(bus.encode_request(bus.lift(1, 100)))
-    assert [(part.name, part.value, part.unit, part.meaning) for part in parts[3:6]] == [
-        ('CMD2', 0x20, '', 'lift'), ('direction', 1, '', 'down'), ('distance', 100, 'mm', '')]
-
-
-def test_the_parts_of_replies():
-    reading = bus.encode_reply(bus.Reply(bus.OK, bus.Environment(350, 25.63, 48.12).pack()))
-    replies = LINES['bus']
-    parts = replies.parts(reading, bus.ENVIRONMENT_REQUEST)
-    assert [(part.name, part.raw, part.unit) for part in parts[3:6]] == [
-        ('smoke', 350, ''), ('temperature', 2563, '°C'), ('humidity', 4812, '%')]
-    for request in bus.lift(0, 1), None:
-        assert [part.name for part in replies.parts(reading, request)[3:-1]] == ['DATE']
-    parts = replies.parts(bus.encode_reply(bus.Reply(bus.ERROR, b'\2\x80'))[:-1] + b'\0')
-    assert [(part.name, part.value, part.meaning, part.error) for part in parts[3:]] == [
-        ('error code', 0x8002, 'the operation failed', ''), ('Checksum', 0, '', 'should be 0x26')]
-
-
-def test_the_part_with_an_impossible_value_has_the_error():
-    parts = LINES['arduino'].parts(arduino.encode(arduino.SteeringAngle(2000)))
-    assert [(part.name, part.error) for part in parts if part.error] == [
-        ('value', 'value is 2000, out of range (0 … 1024)')]
-
-
-def test_values_that_the_message_restores_are_those_of_the_message():
-    def angles(*raw):
-        frame = mcu.encode_raw(0x10, 0, struct.pack('<HHhhh', 1, 2, *raw))
-        return [(part.value, part.raw) for part in LINES['mcu'].parts(frame)[6:9]]
-
-    assert angles(-30536, 100, 0) == [(350.0, -30536), (1.0, 100), (0.0, 0)]
-    assert all(isnan(value) for value, _ in angles(0, -0x8000, -0x8000))
-
-
-def test_a_number_that_means_no_value_padding_and_surplus_are_named():
-    rows = {'force': {'type': 40, 'ros_type': 'a/B', 'layout': '<Bxhx', 'invalid': [0, -1],
-                      'fields': ['x', 'y'], 'minimum': -1}}
-    data = b'\1\0\xff\xff\0'
-    for more, last in (b'', 'padding'), (b'\5', 'surplus'):
-        parts = explainer('mcu', messages=rows).parts(mcu.encode_raw(40, 0, data + more))
-        assert [part.name for part in parts[4:8]] == ['x', 'padding', 'y', 'padding']
-        assert parts[6].meaning == 'no value' and parts[-3].name == last
-        assert errors_of(parts) == ['6 bytes of data, not 5'] * bool(more)
-
-
-def test_an_unknown_type_is_named_so():
-    for line, frame in ('mcu', mcu.encode_raw(0x77, 1, b'ab')), (
-            'arduino', arduino.encode_raw(0x77, b'ab')):
-        parts = LINES[line].parts(frame)
-        assert [part.meaning for part in parts if part.name.lower() == 'type'] == [NOT_KNOWN]
-
-
-# -- a board of another package -------------------------------------------------------------------
-
-Weight = message_class('Weight', 1, '<xH', [Value('value', 'kg', 0.1)], 'weight')
-
-
-class _Decoder(StreamDecoder):
-    """A '!', the type, three bytes of data and a '.'."""
-
-    STARTS = b'!'
-
-    def __init__(self):
-        super().__init__()
-        self.errors[UNKNOWN] = 0
-
-    def frame_at(self, at):
-        frame = self.buffer[at:at + 6]
-        if len(frame) < 6:
-            return Need(6)
-        data = frame[2:5]
-        return Good(6, frame[1], 0, data, Weight.unpack(data) if frame[1] == Weight.TYPE else None)
-
-
-def test_another_board_has_the_values_of_its_message_or_the_whole_frame():
-    another = Explainer(Settings(Description('x', 'x', lambda sent, _: _Decoder()), 0), False)
-    assert [(part.name, part.data, part.value, part.unit) for part in another.parts(
-        b'!\1\0\5\0.')] == [('start', b'!\1', None, ''), ('padding', b'\0', None, ''),
-                            ('value', b'\5\0', 0.5, 'kg'), ('end', b'.', None, '')]
-    assert [part.name for part in another.parts(b'!\2\0\5\0.')] == ['frame']
-    assert [part.error for part in another.parts(b'!\2\0\5')] == ['missing, 2 bytes']
-    assert [part.name for part in another.parts(b'abc')] == ['noise']
-    hold = crane_scale.wire.encode(crane_scale.wire.Hold(), 0)     # in hex digits
-    assert [(part.data, part.meaning) for part in LINES['scale'].parts(hold)] == [(hold, 'hold')]

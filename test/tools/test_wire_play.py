@@ -69,13 +69,6 @@ def test_the_whole_frames_of_the_board_are_sent_at_their_intervals(recording, tm
     assert far.read_all() == b''.join(WHOLE)
 
 
-def test_a_clock_that_was_set_back_stops_nothing(tmp_path, far):
-    frames = [(3000.0, status(0)), (3000.02, status(1)), (3000.01, status(2)), (0.0, status(3)),
-              (0.02, status(4))]
-    done = run(bag_of(tmp_path / 'a.bag', frames), 'mcu', far.path)
-    assert done.returncode == 0 and far.read_all() == b''.join(map(status, range(5)))
-
-
 def test_what_the_port_receives_is_dropped_and_a_port_that_nothing_reads_is_named(tmp_path, far):
     file = bag_of(tmp_path / 'a.bag', [(0.0, status(0)), (0.5, status(1))])
     far.write(bytes(4000))

@@ -37,7 +37,7 @@ class Calibration:
     def __init__(self, timeout: float, now: float) -> None:
         self._began = now
         self._timeout_at = now + timeout
-        # Both shift by the time of a stall, and begin again when the port opens.
+        # Both begin again when the link does.
         self._watched_since = now
         self._last_data = now
         self._received_at = float('-inf')
@@ -50,13 +50,8 @@ class Calibration:
         """`End.TIMEOUT` if it has lasted too long, else None."""
         return None if now < self._timeout_at else End.TIMEOUT
 
-    def stalled(self, seconds: float, now: float) -> None:
-        """The bridge stalled for `seconds`: they count neither as silence nor as data."""
-        self._watched_since = min(self._watched_since + seconds, now)
-        self._last_data = min(self._last_data + seconds, now)
-
-    def port_opened(self, now: float) -> None:
-        """The port is open again; what the board did meanwhile is not known. Observe it again."""
+    def watch_again(self, now: float) -> None:
+        """What the board did meanwhile is not known: the link has begun anew."""
         self._watched_since = self._last_data = now
 
     def imu_data(self, now: float) -> Optional[End]:

@@ -11,8 +11,6 @@ from std_srvs.srv import Empty, EmptyResponse
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 
 from ...link.link import Refused
-from ...link.outcome import NOT_SENT, Outcome
-from ...ros.answers import service_error
 from ...ros.commands import CommandTopic
 from ...ros.custom_topics import MessageTopics, message_rows, names_of
 from ...ros.imu import ImuTopic
@@ -21,9 +19,10 @@ from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id,
 from ...ros.publishing import publisher, wanted
 from ...transport.port import Port
 from . import DESCRIPTION, settings, wire
-from .link import ArduinoLink, ArduinoSettings
+from .link import ArduinoLink
+from .session import CarOptions
 
-_DEFAULTS = ArduinoSettings()
+_DEFAULTS = CarOptions()
 _LOG_FUNCTIONS = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)    # by severity
 
 
@@ -73,12 +72,12 @@ class ArduinoInterface(Interface):
         self._topics = MessageTopics(DESCRIPTION, p)
         self.link = ArduinoLink(
             Port(p['port'], p['baud'], p['reset_on_open']),
-            ArduinoSettings(**{name: p[name] for name in ArduinoSettings._fields}),
+            CarOptions(**{name: p[name] for name in CarOptions._fields}),
             messages=self._topics.custom_kinds, on_message=self._received, on_log=self._log,
             on_calibrating=lambda on: self._calibrating.publish(on), board_time=p['board_time'],
             **link_options._asdict())
         for row in p['settings']:
-            self.link.board_settings.add(row)
+            self.link.session.board_settings.add(row)
         if p['announcements']:
             self.announced = self._topics.announced(self.link, self._command_age)
 
@@ -105,7 +104,7 @@ class ArduinoInterface(Interface):
         try:
             self.link.calibrate_imu()
         except Refused as refused:
-            raise service_error(Outcome(NOT_SENT, f'{refused}')) from None
+            raise rospy.ServiceException(str(refused)) from None
         return EmptyResponse()
 
     def _received(self, message: Any, stamp: rospy.Time) -> None:

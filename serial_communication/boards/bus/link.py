@@ -1,26 +1,26 @@
 """The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
+import logging
 import os
-import threading
 from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 
 from ...framing.stream import IMPLAUSIBLE, LENGTH, Frame
-from ...link.connection import PortState
-from ...link.link import ERROR, OK, WARN, Link
+from ...link.link import Link
 from ...link.outcome import NOT_SENT, STOPPED, Outcome
-from ...link.stall import LONGEST_SLEEP, STALL
-from ...transport.port import Port, PortBusy, PortError
+from ...link.session import ERROR, OK, WARN, Condition, Doubt, Packet, Refused, Session
+from ...link.sparing_log import SparingLog
+from ...transport.pace import clock
+from ...transport.port import Port
 from . import wire
 from .announcement import AnnouncementReader
 from .call import NOT_READY_WAIT, Call
-from .master import STALLED, Master
+from .master import Master
 from .polls import Polls
-from .session import Condition
+from .session import Condition as State
 
 # Of the conditions in which the board is synchronised, for programs.
-_WORDS = {Condition.READY: 'ok', Condition.OUT_OF_STEP: 'out_of_step',
-          Condition.NO_ECHO: 'no_echo'}
-_WRITTEN = 0.3      # s for a stop to be written
-_BLOCKED = 0.05     # s until the next try, after the port took no data
+_WORDS = {State.READY: 'ok', State.OUT_OF_STEP: 'out_of_step', State.NO_ECHO: 'no_echo'}
+_LONGEST_SLEEP = 0.1
+_LONGEST_WAIT = 0.3     # s that the link may wait for input before that is shown
 
 
 class BusSettings(NamedTuple):
@@ -36,45 +36,207 @@ class BusSettings(NamedTuple):
     announcements: bool = False        # ask the board for its announcement after each connect
 
 
+class MasterSession(Session):
+    """The Master's session as a link drives it.
+
+    Args:
+        nonce: returns new bytes for an ECHO.
+    """
+
+    NAME = 'bus'
+    FENCED = True      # the Master drops all replies until its ECHO or SYNC is answered
+
+    def __init__(self, log: SparingLog, settings: BusSettings, nonce: Callable[[], bytes],
+                 on_environment: Callable[[wire.Environment, Any], None],
+                 now: Callable[[], float]) -> None:
+        super().__init__(wire.ReplyDecoder(settings.reply_has_cmd2), log)
+        self.settings = settings
+        self.now = now
+        self._doubt = ''
+        self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log, nonce,
+                             drop_output=self._drop_output, begun_anew=self._board_begun_anew,
+                             still_announces=lambda: self.announcement.is_current,
+                             is_stopped=lambda: self.is_stopped, echoes=settings.echo)
+        self.on_environment = lambda outcome: on_environment(
+            wire.Environment.unpack(outcome.data), outcome.stamp)
+        self.polls = Polls(lambda request, function, on_success: self.master.submit(
+            self.make(request, function, on_success, poll=True)))
+        self._reader = AnnouncementReader(
+            lambda index: self.master.submit(self.make(
+                wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT, poll=True)),
+            self.announcement.assembly, self.log) if settings.announcements else None
+        # Requests of functions that interrupt, which ~stop calls.
+        self.stops: List[Tuple[wire.Request, wire.Function]] = []
+        self._waits_since = 0.0     # when a request could be sent last; monotonic
+        if settings.environment_period:
+            self.polls.add(wire.ENVIRONMENT_FUNCTION, settings.environment_period,
+                           self.on_environment)
+
+    def make(self, request: wire.Request, function: wire.Function,
+             on_success: Optional[Callable[[Outcome], None]] = None, poll: bool = False) -> Call:
+        """A call of a function by this request."""
+        moves = wire.built_in(request, function).moves      # a raw request may be one, too
+        timeout = function.timeout or (
+            self.settings.motion_timeout if moves else self.settings.reply_timeout)
+        return Call(request, function, timeout, 1 + self.settings.retries, self.now(), poll,
+                    on_success)
+
+    def _drop_output(self, sent: float) -> None:
+        if self.presence.byte_at <= sent:
+            self._doubt = 'nothing received since a request, which may still wait'
+
+    def _board_begun_anew(self, now: float) -> None:
+        self.announcement.reset()
+        if self._reader:
+            self._reader.restart(now)
+
+    # -- what happens -------------------------------------------------------------------
+
+    def begin(self, now: float, is_opening: bool) -> None:
+        if not is_opening:
+            self.master.stalled(now)
+            return
+        self.polls.start(now)
+        if self._reader:
+            self._reader.opened()
+        self.master.connected(now)
+        self._waits_since = now
+
+    def end(self, why: str, now: float) -> None:
+        self.master.disconnected(now, why)
+
+    def idle(self, now: float) -> Optional[float]:
+        return self.master.step(now, port_ready=False)[1]
+
+    def received(self, frame: Frame, now: float) -> None:
+        with self.lock:
+            self.master.received(frame, now)
+
+    def shown(self, frame: Frame) -> Frame:
+        call = self.master.outstanding_call
+        if frame.cause or call is None:
+            return frame
+        return frame._replace(message=call.function.name_reply(frame.message))
+
+    def damaged(self, frame: Frame, now: float) -> None:
+        with self.lock:
+            self.master.damaged(frame, now)
+
+    def under_way(self, is_reset: bool = False) -> str:
+        return self.master.under_way()
+
+    # -- what to do ---------------------------------------------------------------------
+
+    def may_be_old(self, request: Any) -> bool:
+        if isinstance(request, Call):
+            return request.function.repeatable
+        call = self.master.outstanding_call
+        return call is None or call.function.repeatable or call.request is not request
+
+    def submit(self, request: Call, now: float) -> List[Packet]:
+        if self.is_stopped and not request.function.repeatable:
+            raise Refused(STOPPED, 'stopped')
+        self.master.submit(request)
+        self.wake()
+        return self._at_once(now) if request.function.interrupts else []
+
+    def stop(self, now: float, why: str = '') -> Tuple[List[Packet], str]:
+        if why:
+            return [], ''
+        moving = '' if self.stops else self.master.under_way()
+        for stop in self.stops:
+            self.master.submit(self.make(*stop))
+        return self._at_once(now), moving
+
+    def _at_once(self, now: float) -> List[Packet]:
+        """The requests that interrupt."""
+        packets: List[Packet] = []
+        while True:
+            request, _ = self.master.step(now, 'the end of a call that interrupts')
+            if request is None:
+                return packets
+            packets.append(self._packet(request))
+
+    def due(self, now: float, is_drained: bool) -> Tuple[List[Packet], Optional[float]]:
+        due = now + _LONGEST_SLEEP
+        if self.master.synchronised:
+            due = min(due, self.polls.tick(now, self.announcement.is_current))
+            text = self._reader.step(now) if self._reader else None
+            if text is not None and self.announcement.on_text:
+                self.announcement.on_text(text)
+        waits_for = 'the end of the bytes that are received' if not is_drained else \
+            'the rest of an incomplete frame' if self.decoder.begun else ''
+        if not waits_for:
+            self._waits_since = now
+        self.master.bytes_came(self.presence.byte_at)
+        request, wake_at = self.master.step(now, waits_for)
+        if self._doubt:
+            why, self._doubt = self._doubt, ''
+            raise Doubt(why)
+        return [] if request is None else [self._packet(request)], \
+            due if wake_at is None else min(due, wake_at)
+
+    def _packet(self, request: wire.Request) -> Packet:
+        return Packet(wire.encode_request(request, self.settings.environment_datelen),
+                      request.cmd1, request.cmd2, request.data, request)
+
+    def sent(self, packet: Packet, now: float) -> None:
+        self.master.sent(packet.message)
+
+    def not_sent(self, packet: Packet, why: str) -> None:
+        self.master.not_sent(why)
+
+    # -- what it looks like ---------------------------------------------------------------
+
+    def condition(self, now: float) -> Condition:
+        state = self.master.condition()
+        if state is State.READY:
+            waits = now - self._waits_since > _LONGEST_WAIT
+            return Condition(WARN, 'ok', 'open, waits for the end of what is received') if waits \
+                else Condition(OK, 'ok', 'ready')
+        level = ERROR if state in (State.NO_SYNC, State.NO_ECHO) else WARN
+        unknown = self.presence.no_frame(now) if state is State.NO_SYNC else ''
+        return Condition(level, _WORDS.get(state, 'not_synchronised'), unknown or state.value)
+
+    def talks(self, now: float) -> Optional[bool]:
+        # None for NO_ECHO: the board answers SYNC, and the Master has logged the rest.
+        return {State.READY: True, State.NO_SYNC: False}.get(self.master.condition())
+
+    def silence(self) -> str:
+        return f'{self.master.condition().value}; SYNC is repeated'
+
+    def error_count(self) -> int:
+        return self.master.timeouts + sum(self.master.data_errors.values())
+
+    def values(self) -> List[Tuple[str, Any]]:
+        times = sorted(self.master.round_trips)
+        return [('timeouts', self.master.timeouts),
+                ('length errors', self.master.data_errors[LENGTH]),
+                ('implausible errors', self.master.data_errors[IMPLAUSIBLE]),
+                ('round trip p50 [ms]', f'{times[len(times) // 2] * 1e3:.2f}' if times else '-'),
+                ('round trip max [ms]', f'{times[-1] * 1e3:.2f}' if times else '-')]
+
+
 class BusLink(Link):
     """Takes requests from any thread. Each gets an outcome, whatever happens to the port.
 
     Args:
         on_environment: called in the link's thread with each reading and its stamp.
         nonce: returns new bytes for an ECHO.
-        link_arguments: frame_timeout, clock, now and logger, as for `Link`.
+        link_arguments: those of `Link`.
     """
 
-    HAS_FENCES = True      # the Master drops all replies until its ECHO or SYNC is answered
-    DRAINS = True          # no request may be sent before everything received has been read
+    session: MasterSession
 
     def __init__(self, port: Port, settings: BusSettings = BusSettings(),
-                 on_environment: Optional[Callable[[wire.Environment, Any], None]] = None,
-                 nonce: Callable[[], bytes] = lambda: os.urandom(4), **link_arguments: Any) -> None:
-        super().__init__('bus', port, wire.ReplyDecoder(settings.reply_has_cmd2),
+                 on_environment: Callable[[wire.Environment, Any], None] = lambda *_: None,
+                 nonce: Callable[[], bytes] = lambda: os.urandom(4),
+                 logger: Optional[logging.Logger] = None, now: Callable[[], float] = clock,
+                 **link_arguments: Any) -> None:
+        log = SparingLog('bus', logger or logging.getLogger(__name__), clock=now)
+        super().__init__(port, MasterSession(log, settings, nonce, on_environment, now), now=now,
                          **link_arguments)
         self.settings = settings
-        self.master = Master(settings.reply_timeout, settings.motion_timeout, self.log, nonce,
-                             drop_output=self._drop_output, begun_anew=self._board_begun_anew,
-                             still_announces=lambda: self.announcement.is_current,
-                             is_stopped=lambda: self.is_stopped, echoes=settings.echo)
-        self.lending.under_way = self.master.under_way
-        self._on_environment = lambda outcome: on_environment and on_environment(
-            wire.Environment.unpack(outcome.data), outcome.stamp)
-        self.polls = Polls(lambda request, function, on_success: self.master.submit(
-            self._call(request, function, on_success, poll=True)))
-        self._reader = AnnouncementReader(
-            lambda index: self.master.submit(self._call(
-                wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT, poll=True)),
-            self.announcement.assembly, self.log) if settings.announcements else None
-        # Requests of functions that interrupt, which ~stop calls.
-        self.stops: List[Tuple[wire.Request, wire.Function]] = []
-        self._stepping = threading.Lock()   # held from the Master's decision to the write
-        self._blocked_until = 0.0
-        self._waits_since = 0.0     # when a request could be sent last; monotonic
-        if settings.environment_period:
-            self.polls.add(wire.ENVIRONMENT_FUNCTION, settings.environment_period,
-                           self._on_environment)
 
     # -- for callers --------------------------------------------------------------------
 
@@ -89,7 +251,7 @@ class BusLink(Link):
     def environment(self) -> Tuple[Outcome, Optional[wire.Environment]]:
         """A new reading, or None if the request did not succeed."""
         outcome = self.request(wire.ENVIRONMENT_REQUEST, wire.ENVIRONMENT_FUNCTION,
-                               on_success=self._on_environment)
+                               on_success=self.session.on_environment)
         return outcome, wire.Environment.unpack(outcome.data) if outcome.success else None
 
     def call(self, function: wire.Function, values: Sequence) -> Outcome:
@@ -121,179 +283,13 @@ class BusLink(Link):
             function: what it calls.
             on_success: called in the link's thread with a successful outcome.
         """
-        call = self._call(request, function, on_success)
-        # Also after the time of the call was taken: the Master refuses it if a stall follows.
-        why = self._why_not(call)
-        if why:
-            call.finish(Outcome(NOT_SENT, f'{why}; nothing was sent'))
-        else:
-            self.master.submit(call)
-            self.wake()
-        return call
-
-    def _why_not(self, call: Call) -> str:
+        call = self.session.make(request, function, on_success)
         size = len(call.request.data)
-        if size > wire.MAX_LENGTH:
-            return f'data is {size} bytes long, may be at most {wire.MAX_LENGTH}'
-        if self.is_stopped and not call.function.repeatable:
-            return STOPPED
-        if not self.port.is_open:
-            return f'the port {self.port.url} is closed ({self.connection.trouble})'
-        if not call.function.repeatable and self.connection.may_be_from_a_stall():
-            return STALLED
-        return ''
-
-    def stop_motion(self) -> str:
-        """Send all requests that interrupt; without any, a move that is under way goes on."""
-        with self._stepping:        # from now on the link's thread sees `is_stopped`
-            moving = '' if self.stops else self.master.under_way()
-        calls = [self.master.submit(self._call(*stop)) for stop in self.stops]
-        self.wake()
-        deadline = self.now() + _WRITTEN
-        for call in calls:
-            call.written.wait(max(0.0, deadline - self.now()))
-        return '; '.join(filter(None, [moving, *map(_not_written, calls)]))
-
-    def _call(self, request: wire.Request, function: wire.Function,
-              on_success: Optional[Callable[[Outcome], None]] = None, poll: bool = False) -> Call:
-        moves = wire.built_in(request, function).moves      # a raw request may be one, too
-        timeout = function.timeout or (
-            self.settings.motion_timeout if moves else self.settings.reply_timeout)
-        return Call(request, function, timeout, 1 + self.settings.retries, self.now(), poll,
-                    on_success)
-
-    def _drop_output(self, sent: float) -> None:
-        if self.connection.last_byte_at <= sent:
-            self.port.discard_output('nothing received since a request, which may still wait')
-
-    def _board_begun_anew(self, now: float) -> None:
-        self.announcement.reset()
-        if self._reader:
-            self._reader.restart(now)
-
-    # -- hooks --------------------------------------------------------------------------
-
-    def opened(self, now: float) -> None:
-        self.polls.start(now)
-        if self._reader:
-            self._reader.opened()
-        self.master.connected(now)
-        self._waits_since = now
-
-    def closed(self, now: float) -> None:
-        self.master.disconnected(now, self.connection.trouble)
-
-    def idle(self, now: float) -> Optional[float]:
-        return self.master.step(now, port_ready=False)[1]
-
-    def received(self, frame: Frame, now: float) -> None:
-        self.master.received(frame, now)
-
-    def shown(self, frame: Frame) -> Frame:
-        call = self.master.outstanding_call
-        if frame.cause or call is None:
-            return frame
-        return frame._replace(message=call.function.name_reply(frame.message))
-
-    def damaged(self, frame: Frame, now: float) -> None:
-        self.master.damaged(frame, now)
-
-    def stalled(self, seconds: float, now: float) -> None:
-        self.master.stalled(now)
-
-    def altered(self, now: float) -> None:
-        self.master.may_have_missed('another program changed the settings of the port', now)
-
-    def tick(self, now: float) -> Optional[float]:
-        due = now + LONGEST_SLEEP
-        if self.master.synchronised:
-            due = min(due, self.polls.tick(now, self.announcement.is_current))
-            text = self._reader.step(now) if self._reader else None
-            if text is not None and self.announcement.on_text:
-                self.announcement.on_text(text)
-        waits_for = self._waits_for()
-        if not waits_for:
-            self._waits_since = now
-        self.master.bytes_came(self.connection.last_byte_at)
-        with self._stepping:
-            request, wake_at = self.master.step(now, waits_for, now >= self._blocked_until)
-            if request is not None:
-                self._send_request(request, now)
-        if now < self._blocked_until:
-            due = min(due, self._blocked_until)
-        return due if wake_at is None else min(due, wake_at)
-
-    def _waits_for(self) -> str:
-        """What has to be received and decoded before a request may be sent; '': nothing."""
-        state = self.connection.state
-        if state is PortState.DROPPING:
-            return 'the end of the bytes that waited during a stall'
-        if self.decoder.begun:
-            return 'the rest of an incomplete frame'
-        return '' if state is PortState.DRAINED else 'the end of the bytes that are received'
-
-    def _send_request(self, request: wire.Request, now: float) -> None:
-        frame = wire.encode_request(request, self.settings.environment_datelen)
-        call = self.master.outstanding_call
-        if call and not call.function.repeatable and self.connection.stalls.stalled_for(
-                self.now()):      # since `step` decided that it may be sent
-            self.master.not_sent(STALLED)
-            return
         try:
-            self.send(frame, request.cmd1, request.cmd2, request.data, request)
-            self.master.sent(request)
-        except PortBusy as error:
-            self.log.warn('busy', f'{error}; the output that waited is dropped; '
-                          'does flow control block the port?')
-            self.port.discard_output()
-            self.master.not_sent(str(error))
-            self._blocked_until = now + _BLOCKED
-        except PortError:
-            self.master.not_sent('the port closed')
-            raise
-
-    # -- diagnostics --------------------------------------------------------------------
-
-    def condition(self, now: float) -> Tuple[int, str]:
-        if not self.port.is_open:
-            return super().condition(now)
-        condition = self.master.condition()
-        if condition is Condition.READY:
-            waits_for = self._waits_for()
-            if waits_for and now - self._waits_since > STALL:
-                return WARN, f'open, waits for {waits_for}'
-            return OK, 'ready'
-        level = ERROR if condition in (Condition.NO_SYNC, Condition.NO_ECHO) else WARN
-        unknown = self.presence.meaning(now) if condition is Condition.NO_SYNC else ''
-        return level, unknown or condition.value
-
-    def condition_of_board(self, now: float) -> str:
-        return _WORDS.get(self.master.condition(), 'not_synchronised')
-
-    def talks(self, now: float) -> Optional[bool]:
-        # None for NO_ECHO: the board answers SYNC, and the Master has logged the rest.
-        return {Condition.READY: True, Condition.NO_SYNC: False}.get(self.master.condition())
-
-    def silence(self) -> str:
-        return (f'{self.master.condition().value}; SYNC is repeated; check its power, its wiring '
-                f'and the baud rate ({self.port.baud})')
-
-    def error_count(self) -> int:
-        master = self.master
-        return super().error_count() + master.timeouts + sum(master.data_errors.values())
-
-    def extra_values(self) -> List[Tuple[str, Any]]:
-        times = sorted(self.master.round_trips)
-        return [('timeouts', self.master.timeouts),
-                ('length errors', self.master.data_errors[LENGTH]),
-                ('implausible errors', self.master.data_errors[IMPLAUSIBLE]),
-                ('round trip p50 [ms]', f'{times[len(times) // 2] * 1e3:.2f}' if times else '-'),
-                ('round trip max [ms]', f'{times[-1] * 1e3:.2f}' if times else '-')]
-
-
-def _not_written(call: Call) -> str:
-    """Why a call that interrupts was not sent; '' if it was."""
-    if not call.written.is_set():
-        return f'{call.request} was not written in time'
-    outcome = call.outcome
-    return f'{call.request}: {outcome.message}' if outcome and outcome.status == NOT_SENT else ''
+            if size > wire.MAX_LENGTH:
+                raise Refused(f'data is {size} bytes long, may be at most {wire.MAX_LENGTH}',
+                              'value')
+            self.writer.submit(call)
+        except Refused as refused:
+            call.finish(Outcome(NOT_SENT, f'{refused}; nothing was sent'))
+        return call

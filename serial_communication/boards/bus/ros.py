@@ -181,7 +181,7 @@ def _poll(row: RosFunction, link: BusLink, p: Dict[str, Any]) -> Tuple[Poller, V
     """Call a function with a period, and publish its replies."""
     function = row.custom
     topic = ValuePublisher('~' + function.name, row.ros_class, row.reply, function, p)
-    return link.polls.add(function, function.period, lambda outcome: topic.publish(
+    return link.session.polls.add(function, function.period, lambda outcome: topic.publish(
         _values(function, outcome), outcome.stamp)), topic
 
 
@@ -197,14 +197,14 @@ def _add_announced(row: RosFunction, link: BusLink, p: Dict[str, Any]) -> Callab
         service = _advertise(row, link)
 
         def withdraw() -> None:
-            link.stops = [stop for stop in link.stops if stop[1] is not row.custom]
+            link.session.stops = [stop for stop in link.session.stops if stop[1] is not row.custom]
             service.shutdown('the board announces it no longer')
 
         return withdraw
     poller, topic = _poll(row, link, p)
 
     def take_down() -> None:
-        link.polls.remove(poller)
+        link.session.polls.remove(poller)
         topic.close()
 
     return take_down
@@ -214,12 +214,12 @@ def _advertise(row: RosFunction, link: BusLink) -> rospy.Service:
     """Offer a function whose values have the names of its service's fields."""
     function, request_fields = row.custom, row.request
     if function.interrupts:
-        link.stops.append((_stop_request(row), function))
+        link.session.stops.append((_stop_request(row), function))
 
     def handle(ros_request: Any) -> Any:
         try:
             if function.announced:
-                link.announcement.refuse_unless_current(function.name)
+                link.session.announcement.refuse_unless_current(function.name)
             values = request_fields.read(ros_request) if request_fields else ()
         except (ValueError, Refused) as error:
             outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')

@@ -71,7 +71,7 @@ class McuInterface(Interface):
                             messages=self._topics.custom_kinds, board_time=p['board_time'],
                             **link_options._asdict())
         for row in p['settings']:
-            self.link.board_settings.add(row)
+            self.link.session.board_settings.add(row)
         if p['announcements']:
             self.announced = self._topics.announced(self.link)
 
@@ -90,15 +90,15 @@ class McuInterface(Interface):
             self._topics.publish(message, stamp)
             return
         now = self.link.now()
-        age = now - (self.link.last_frame_at or now)
+        age = now - (self.link.session.presence.frame_at or now)
         if type(message) is wire.AdcStatus:
             if wanted(self._adc_status):
-                self._adc_status.publish(stamp, seq, True, True, self.link.checksum_errors, age,
+                self._adc_status.publish(stamp, seq, True, True, self.link.session.checksum_errors, age,
                                          *message)
             return
         self._log_missing(message.missing, now)
         if wanted(self._status):
-            self._status.publish(stamp, seq, True, message.valid, self.link.checksum_errors, age,
+            self._status.publish(stamp, seq, True, message.valid, self.link.session.checksum_errors, age,
                                  *message)
         for (topic, out), millimetres in zip(self._ranges, message[:2]):
             if wanted(topic):
@@ -124,7 +124,7 @@ class McuInterface(Interface):
     def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
         if kind and kind.TYPE not in wire.MESSAGES:
             return      # custom messages have no status: their topics are silent, too
-        head = (rospy.Time.now(), seq, False, False, self.link.checksum_errors, age)
+        head = (rospy.Time.now(), seq, False, False, self.link.session.checksum_errors, age)
         if kind is wire.AdcStatus:
             self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)
         else:

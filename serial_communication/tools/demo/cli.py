@@ -18,9 +18,9 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
 from ...output import end_with_output, prepare_output
-from ...ros.master import wait_for_master
 from ..watch.calls import call
 from ..watch.live import LiveTable, stopped_by_signals
+from ..watch.master import wait_for_master
 from ..watch.topics import LINKS, NODE
 from .state import Demo, PageAddress
 

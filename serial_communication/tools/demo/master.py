@@ -25,7 +25,7 @@ def problem() -> str:
     if trouble:
         mend = 'unset ROS_MASTER_URI' if uri != _OWN else f'export ROS_MASTER_URI={_OTHER}'
         return f'no ROS master answers at {uri}: {trouble}. For a master of its own:  {mend}'
-    if running_node(NODE, _PATIENCE):
+    if running_node(NODE):
         return f'a bridge already runs at {uri}; end it first, or set ROS_MASTER_URI to another ' \
             f'port, such as {_OTHER}.'
     return ''

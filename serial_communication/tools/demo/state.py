@@ -2,7 +2,7 @@
 import re
 from typing import List, Optional, Sequence, Tuple
 
-from ...link.outcome import Verdict
+from ..watch.calls import Verdict
 from ..watch.state import ERROR, OK, BridgeState
 from ..watch.table import LEVELS, Heading, TextLine
 from ..watch.topics import LINKS, NODE, TOPICS

@@ -15,9 +15,9 @@ import rosgraph
 import rospy
 
 from ...output import end_with_output, prepare_output
-from ...ros.master import wait_for_master
 from ..watch.calls import node_argument
 from ..watch.live import LiveTable, stopped_by_signals
+from ..watch.master import wait_for_master
 from ..watch.state import BridgeState
 from ..watch.table import Heading, TextLine, plain
 from ..watch.topics import NODE, SERIAL_MSG

@@ -19,11 +19,10 @@ from std_srvs.srv import SetBool, SetBoolRequest
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
-from ...link.outcome import Verdict
 from ...ros.answers import outcome_fields
 from ...ros.latest_worker import LatestWorker
 from ...ros.settings import request_of, value_in
-from ..watch.calls import MOST_WAIT, Answer, call
+from ..watch.calls import MOST_WAIT, Answer, Verdict, call
 from ..watch.state import BridgeState
 from ..watch.topics import absolute, leaves, one_line
 from .dead_man import SILENCE, CommandRefused, DeadManSwitch

@@ -22,8 +22,9 @@ import tornado.ioloop
 from ...link.sparing_log import SparingLog
 from ...ros import logs
 from ...ros.latest_worker import LatestWorker
-from ...ros.master import MasterWatch, full_name, restart, running_node, wait_for_master
-from ...ros.starting import NAME_TAKEN, last_resort
+from ...ros.master import full_name, restart, running_node, watch_master
+from ...ros.starting import NAME_TAKEN, end_within
+from ..watch.master import wait_for_master
 from .addresses import free_port, listen, listener, listen_near, page_address, qr_code
 from .cli import DEFAULT_PORT, print_error
 from .commands import Commands
@@ -61,7 +62,6 @@ class _Ros:
                         f"name this one: __name:={name.rpartition('/')[2]}_2")
             self._end(NAME_TAKEN)
             return
-        watch = MasterWatch()
         rospy.on_shutdown(self._ended)
         try:
             rospy.init_node('panel', disable_signals=True)
@@ -69,7 +69,7 @@ class _Ros:
             self._ended()
             return
         logs.queue_lines()
-        watch.start(self._start_again)
+        watch_master(self._start_again)
         self._ready()
 
     def _ended(self) -> None:
@@ -142,13 +142,12 @@ def _serve(options: argparse.Namespace) -> int:
     print(f'panel: {address}' + f'\n{code}'.rstrip(), flush=True)
     server = serve(sockets, hub, Guard(options.bind, host_names()), entrance)
     statuses: List[int] = []
-    end_later = last_resort(_EXIT_TIME)
 
     def end(status: int = 0) -> None:
         first = not statuses        # a second signal may arrive while the first is handled
         statuses.append(status)
         if first:
-            end_later(status)
+            end_within(_EXIT_TIME, status)
             loop.add_callback_from_signal(loop.stop)
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -23,16 +23,14 @@ import serial
 
 from serial_communication.srv import Release, ReleaseRequest
 
-from ...link.lending import STALLED
-from ...link.outcome import Verdict
 from ...output import prepare_output
-from ..watch.calls import MOST_WAIT, call, node_argument
+from ..watch.calls import MOST_WAIT, Verdict, call, node_argument
 from ..watch.topics import NODE
 
 _NOT_LENT, _NOT_STARTED = 125, 127
 _LOAN, _RENEW = 5.0, 1.0    # s
 _GIVE_BACK = 3.0            # s for the bridge to answer; the loan ends anyway
-_AGAIN, _AGAIN_FOR = 0.2, 3.0   # s; while the bridge refuses calls because it stalled
+_AGAIN, _AGAIN_FOR = 0.2, 1.0   # s; longer than the bridge refuses calls after a stall
 _PR_SET_PDEATHSIG = 1
 
 _EXAMPLES = """\
@@ -122,12 +120,12 @@ class _Loan:
     def begin(self) -> str:
         """Borrow the port until `end`; return why it is not lent, or ''.
 
-        Just after a stall the bridge refuses all calls that may have waited meanwhile, so this one
-        is made again.
+        Just after a stall the bridge refuses all calls that may have waited meanwhile, so one that
+        is refused is made again for a while.
         """
         deadline = time.monotonic() + _AGAIN_FOR
         why_not = self.renew()
-        while STALLED in why_not and time.monotonic() < deadline:
+        while why_not and time.monotonic() < deadline:
             time.sleep(_AGAIN)
             why_not = self.renew()
         if not why_not:

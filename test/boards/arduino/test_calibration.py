@@ -42,9 +42,9 @@ def test_imu_data_under_way_at_the_begin_does_not_end_it(calibration):
 
 
 def test_only_received_data_shows_that_the_board_does_not_calibrate(calibration):
-    calibration.stalled(0.4, 0.4)
+    calibration.watch_again(0.4)
     assert not calibration.data_goes_on(0.41)
-    calibration.port_opened(1.0)
+    calibration.watch_again(1.0)
     assert not calibration.data_goes_on(1.01)
     calibration.imu_data(1.1)
     assert calibration.data_goes_on(1.15) and not calibration.data_goes_on(1.21)
@@ -55,29 +55,9 @@ def test_imu_data_for_5_s_without_a_silence_ends_it(calibration):
     assert why is End.GOES_ON and now == pytest.approx(5.0, abs=0.11)
 
 
-@pytest.mark.parametrize('stall', [0.4, 1.5, 10.0, 600.0])
-def test_a_stall_does_not_count_as_silence(calibration, stall):
-    assert watch(calibration, 0.0, 0.2, data_every=0.1) == (None, 0.2)
-    now = 0.2 + stall
-    calibration.stalled(stall, now)
-    assert calibration.imu_data(now) is None
-    assert watch(calibration, now, now + 1.9) == (None, now + 1.9)
-    assert calibration.imu_data(now + 1.9) is None
-    assert watch(calibration, now + 1.9, now + 4.0) == (None, now + 4.0)
-    assert calibration.imu_data(now + 4.0) is End.BACK
-
-
-def test_a_stall_does_not_count_as_time_with_imu_data(calibration):
-    assert watch(calibration, 0.0, 2.0, data_every=0.1) == (None, 2.0)
-    calibration.stalled(10.0, 12.0)
-    assert calibration.imu_data(12.0) is None
-    why, now = watch(calibration, 12.0, 30.0, data_every=0.1)
-    assert why is End.GOES_ON and now == pytest.approx(15.0, abs=0.11)
-
-
-def test_the_time_of_a_closed_port_does_not_count(calibration):
+def test_the_time_of_a_stall_or_a_closed_port_does_not_count(calibration):
     assert watch(calibration, 0.0, 0.5) == (None, 0.5)
-    calibration.port_opened(60.0)
+    calibration.watch_again(60.0)
     assert calibration.check_timeout(60.1) is None and calibration.imu_data(60.1) is None
     why, now = watch(calibration, 60.1, 80.0, data_every=0.1)
     assert why is End.GOES_ON and now == pytest.approx(65.0, abs=0.11)
@@ -86,9 +66,3 @@ def test_the_time_of_a_closed_port_does_not_count(calibration):
 def test_it_ends_after_its_timeout_without_imu_data(calibration):
     assert watch(calibration, 0.0, 899.9)[0] is None
     assert calibration.check_timeout(900.0) is End.TIMEOUT
-
-
-def test_a_stall_that_began_earlier_counts_from_the_begin(calibration):
-    calibration.stalled(60.0, 1.0)
-    assert watch(calibration, 1.0, 3.1) == (None, 3.1)
-    assert calibration.imu_data(3.1) is End.BACK

@@ -3,17 +3,11 @@
 import pytest
 
 from steps import QUIET, Bus
-from serial_communication.boards.bus.polls import Poller
-from serial_communication.link.link import ERROR, OK, RX, TX, WARN
-from serial_communication.boards.bus.session import Condition
+from serial_communication.link.session import ERROR, OK
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.boards.bus import wire as bus
 
 LIFT = bus.lift(0, 100)
-
-
-def silent(*kinds):
-    return lambda request: b'' if request.cmd1 in kinds else None
 
 
 def test_calls_have_outcomes_and_diagnostics(logger):
@@ -35,22 +29,6 @@ def test_the_environment_is_polled_and_published(logger):
     assert readings == [((350, 25.63, 48.12), 'stamp')] * 6
 
 
-def test_a_poller_skips_missed_periods():
-    class Asked:
-        outcome = 'answered'
-
-    asked, now = [], [0.0]
-    poller = Poller(1.0, lambda: asked.append(now[0]) or Asked())
-    poller.start(10.0)
-    for now[0] in (10.0, 10.5, 11.25, 11.75, 12.0, 17.5, 18.0, 18.5, 19.0, 19.5):
-        poller.tick(now[0])
-    assert asked == [10.0, 11.25, 12.0, 17.5, 18.5, 19.5]
-    Asked.outcome = None        # without an outcome there is no new poll
-    for now[0] in (20.5, 21.5, 22.5):
-        poller.tick(now[0])
-    assert len(asked) == 6
-
-
 @pytest.mark.parametrize('request_, is_slow', [
     (LIFT, True), (bus.gimbal(0, 1), True), (bus.Request(bus.FUNCTION, 0x30), False),
     (bus.Request(0x0C, bus.LIFT), False)], ids=str)
@@ -61,14 +39,6 @@ def test_only_lift_and_gimbal_have_the_motion_timeout(logger, request_, is_slow)
     outcome = steps.call(request_)
     assert outcome.status == TIMEOUT
     assert outcome.message.startswith('no reply within %g s:' % (2.5 if is_slow else 0.5))
-
-
-def test_a_damaged_reply_is_not_known_at_once(logger):
-    steps = Bus(logger=logger).run(1.0)
-    steps.rule = lambda request: b'\xa5\0\2\0' if request == LIFT else None
-    outcome = steps.call(LIFT, seconds=1.0)
-    assert outcome.status == TIMEOUT and 'damaged' in outcome.message and steps.moves == [LIFT]
-    assert dict(steps.link.report(0).values)['checksum errors'] == 1
 
 
 def test_invalid_arguments_are_refused_without_sending(logger):
@@ -87,68 +57,3 @@ def test_a_closed_port_refuses_at_once(logger):
     for outcome in (link.lift(0, 1), link.environment()[0]):
         assert outcome.status == NOT_SENT and 'closed' in outcome.message
     assert link.report(steps.port.time).level == ERROR
-
-
-def test_a_silent_board_is_an_error_and_a_line(logger, lines):
-    steps = Bus(logger=logger)
-    steps.rule = silent(bus.SYNC)
-    assert steps.run(10.0).link.report(steps.port.time)[:2] == (
-        ERROR, 'the board does not answer SYNC')
-    assert len(lines('does not answer SYNC')) == 1 and steps.call(LIFT).status == NOT_SENT
-
-
-def test_a_board_that_does_not_echo_is_an_error_that_names_the_parameter(logger, lines):
-    steps = Bus(logger=logger)
-    steps.rule = silent(bus.ECHO)
-    assert steps.run(10.0).link.report(steps.port.time)[:2] == (
-        ERROR, 'the board does not answer ECHO (see bus/echo)')
-    outcome = steps.call(LIFT)
-    assert outcome.status == NOT_SENT and 'bus/echo' in outcome.message and not steps.moves
-    assert len(lines('set bus/echo to false')) == 1
-    steps = Bus(QUIET._replace(echo=False), logger=logger).run(1.0)
-    assert steps.call(LIFT).success and not [
-        each for each in steps.requests if each.cmd1 == bus.ECHO]
-
-
-@pytest.mark.parametrize('condition, level, talks, word', [
-    (Condition.READY, OK, True, 'ok'), (Condition.SYNCHRONISING, WARN, None, 'not_synchronised'),
-    (Condition.OUT_OF_STEP, WARN, None, 'out_of_step'), (Condition.NO_ECHO, ERROR, None, 'no_echo'),
-    (Condition.NO_SYNC, ERROR, False, 'not_synchronised')])
-def test_each_condition_has_a_level_a_summary_and_a_word(logger, monkeypatch, condition, level,
-                                                         talks, word):
-    link = Bus(logger=logger).run(1.0).link
-    monkeypatch.setattr(link.master, 'condition', lambda: condition)
-    assert link.condition(0.0) == (level, condition.value or 'ready')
-    assert (link.talks(0.0), link.condition_name(0.0)) == (talks, word)
-
-
-def test_a_blocked_port_is_tried_again_only_after_a_pause(logger, lines):
-    steps = Bus(logger=logger)
-    steps.port.is_full = True
-    tries = []
-    steps.port.discard_output = lambda why='': tries.append(steps.port.time) or True
-    steps.run(1.0)
-    assert 1 < len(tries) <= 21 and lines('does flow control block the port?')
-
-
-def test_the_tap_sees_every_frame_both_ways(logger):
-    steps = Bus(logger=logger).run(1.0)
-    tapped = []
-    steps.link.tap = lambda name, direction, frame: tapped.append((name, direction, frame))
-    steps.rule = lambda request: b'\x11\x22' + bus.encode_reply(bus.Reply(bus.OK)) \
-        if request == LIFT else None
-    steps.call(LIFT)
-    names = [(name, direction, str(frame.message or frame.cause))
-             for name, direction, frame in tapped]
-    at = names.index(('bus', TX, 'lift up 100 mm'))
-    assert names[at + 1:at + 3] == [('bus', RX, 'framing'), ('bus', RX, 'OK')]
-    assert tapped[at][2].raw == bus.encode_request(LIFT)
-
-
-def test_the_state_says_what_a_call_waits_for(logger):
-    steps = Bus(logger=logger, frame_timeout=60.0).run(1.0).give(b'\xa5\xf0', 0.5)
-    outcome = steps.call(LIFT)
-    assert outcome.status == NOT_SENT and not steps.moves
-    assert outcome.message == 'the link waits for the rest of an incomplete frame; nothing was sent'
-    assert steps.link.report(steps.port.time)[:2] == (
-        WARN, 'open, waits for the rest of an incomplete frame')

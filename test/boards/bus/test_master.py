@@ -4,13 +4,13 @@ import logging
 import pytest
 
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.call import NOT_READY_WAIT, Call
-from serial_communication.boards.bus.master import FENCE_AGE, FENCE_SILENCE, Master
-from serial_communication.boards.bus.session import (ECHO_TRIES, TRANSITIONS, Condition, Event,
-                                                     Kind, SessionState)
+from serial_communication.boards.bus.call import Call
+from serial_communication.boards.bus.master import Master
+from serial_communication.boards.bus.session import (ECHO_TRIES, TRANSITIONS, Event, Kind,
+                                                     SessionState)
 from serial_communication.framing.layout import Layout, Value
 from serial_communication.framing.stream import CHECKSUM, FRAMING, Frame, invalid_frame
-from serial_communication.link.outcome import NOT_SENT, TIMEOUT, Outcome
+from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.link.sparing_log import SparingLog
 
 REPLY_TIMEOUT, MOTION_TIMEOUT = 0.5, 5.0
@@ -95,10 +95,6 @@ class Session:
     def next_request(self):
         """The request to send now, or None."""
         return self.master.step(self.now)[0]
-
-    def wake_at(self):
-        """When the Master has to be called again at the latest; nothing is sent."""
-        return self.master.step(self.now, port_ready=False)[1]
 
     def reply(self, *replies):
         """Receive replies in one read."""
@@ -300,57 +296,12 @@ def test_what_is_sent(session, script):
     session.play(script)
 
 
-@pytest.mark.parametrize('reply', ['OK', 'INVALID:40', 'INVALID:10', 'ERROR:8000', 'ECHO:x', '?'])
-def test_no_other_reply_is_taken_for_the_reply_to_sync(fresh, reply):
-    fresh.master.connected(fresh.now)
-    fresh.play(f'> SYNC; < {reply}; lost')
-    assert fresh.next_request() in (None, bus.SYNC_REQUEST)
-
-
-def test_only_sync_is_sent_until_it_is_answered(fresh):
-    fresh.call('lift')
-    fresh.play('> -; +0.8; lift is not sent')
-    assert 'closed' in fresh.outcome('lift').message
-    fresh.master.connected(fresh.now)
-    fresh.play('> SYNC; > -; +T;' * 7 + 'call lift; > SYNC; lost')
-    assert fresh.master.condition() is Condition.NO_SYNC
-    fresh.play('< SYNC; fence; > lift; < OK; lift is done')
-
-
 def test_an_outcome_has_the_data_of_the_reply(session):
     session.play('call air; send air; < AIR; call air; send air; +0.125; < AIR')
     outcome = session.outcome('air')
     assert (outcome.status, outcome.data, outcome.error_code) == (bus.OK, AIR_REPLY.data, 0)
     assert outcome.success and outcome.round_trip == pytest.approx(0.125)
     assert list(session.master.round_trips) == pytest.approx([0.0, 0.125])
-
-
-@pytest.mark.parametrize('name', MOVES)
-@pytest.mark.parametrize('answer', ['< OK', 'damaged', 'missed'])
-@pytest.mark.parametrize('code', [0x40, 0x20, 0x10])
-def test_an_ok_after_an_invalid_makes_the_outcome_unknown(session, name, answer, code):
-    """Either the INVALID was for noise and the OK is the reply, or the OK is a doubled reply to an
-    earlier request. Neither "refused" nor "success" is safe then, nor is another try."""
-    session.play(f'call {name}; send {name}; < INVALID:{code:x}; {name} is waiting;'
-                 f'> {"SYNC" if code == 0x10 else "ECHO"}; {answer}; {name} is not known; > -')
-    assert session.outcome(name).error_code == code
-    session.play('< SYNC; > ECHO; < ECHO; > -' if code == 0x10 else '< ECHO; in step; > -')
-
-
-@pytest.mark.parametrize('code', [0x40, 0x20])
-def test_a_repeatable_call_is_refused_only_if_no_ok_follows_the_invalid(session, code):
-    session.play(f'call twice 1; > twice; < INVALID:{code:x}; twice is waiting; > ECHO; < OK ECHO;'
-                 'twice is not known')
-    assert session.outcome('twice').error_code == code
-
-
-@pytest.mark.parametrize('name', MOVES)
-@pytest.mark.parametrize('code, again', [
-    (0x40, ''), (0x10, '> SYNC; < SYNC;')], ids=('checksum', 'not synchronised'))
-def test_a_request_that_always_gets_invalid_is_refused_after_its_tries(session, name, code, again):
-    session.play(f'call {name} 3;' + f'send {name}; < INVALID:{code:x}; {again} fence;' * 3
-                 + f'> -; {name} is invalid')
-    assert session.outcome(name).error_code == code
 
 
 @pytest.mark.parametrize('name', MOVES)
@@ -415,12 +366,6 @@ def test_out_of_step(session, script):
     session.play(script)
 
 
-def test_a_late_reply_to_an_earlier_sync_is_not_returned_to_a_caller(fresh):
-    """Two SYNCs were sent, and both replies are late: the second has no request."""
-    fresh.master.connected(fresh.now)
-    fresh.play('> SYNC; +T; > SYNC; +0.1; < SYNC; call sync; > ECHO; < SYNC; sync is waiting')
-
-
 def test_every_nonce_is_new(session):
     session.play('call raw; send raw; +T;' + '> ECHO; +T;' * ECHO_TRIES)
     assert len(set(session.nonces)) == len(session.nonces)
@@ -433,28 +378,6 @@ def test_every_nonce_is_new(session):
         seen.add(machine.step(0.0)[0].data)
         machine.disconnected(0.0, '')
     assert len(seen) == 20 and {len(nonce) for nonce in seen} == {4}
-
-
-@pytest.mark.parametrize('name, foreign', [
-    ('lift', 'SYNC'), ('lift', 'ECHO:n000'), ('gimbal', '?'), ('air', 'SYNC'), ('air', 'ECHO:air'),
-    ('raw', 'SYNC'), ('raw', 'ECHO:raw'), ('raw', '?'), ('echo', 'ECHO:ours'), ('echo', 'OK'),
-    ('sync', 'OK')])
-def test_a_reply_that_does_not_fit_the_request_is_not_returned(session, name, foreign):
-    session.play(f'call {name}; send {name}; < {foreign}; {name} is waiting; out of step')
-    assert session.master.outstanding_call is session.calls[name]
-
-
-@pytest.mark.parametrize('name', MOVES)
-@pytest.mark.parametrize('code', [0x40, 0x10, 0x20])
-def test_after_a_stall_an_invalid_makes_the_outcome_unknown(session, name, code):
-    session.play(f'call {name}; send {name}; missed; < INVALID:{code:x}; {name} is not known;'
-                 + ('lost' if code == 0x10 else 'out of step'))
-    assert session.outcome(name).error_code == code
-
-
-def test_a_bad_line_is_logged_sparingly(session):
-    session.play('noise; fence;' * 100)
-    assert len(session.warnings('out of step: received bytes that are no valid reply')) == 1
 
 
 # -- rule 6: the fence --------------------------------------------------------------------------
@@ -492,50 +415,7 @@ def test_fences(session, script):
     session.play(script)
 
 
-@pytest.mark.parametrize('name', MOVES)
-@pytest.mark.parametrize('before, answer', [
-    ('lift', 'OK'), ('raw', 'OK'), ('air', 'AIR'), ('sync', 'SYNC'), ('echo', 'ECHO:mine'),
-    ('lift', 'ERROR:8002')])
-def test_before_a_move_or_a_raw_request_a_new_echo_returns(session, name, before, answer):
-    """The ECHO behind the SYNC was a fence already for the exchange before."""
-    session.play(f'call {before}; > {before}; < {answer}; call {name}; > ECHO; > -; < ECHO;'
-                 f'> {name}')
-
-
-@pytest.mark.parametrize('name', MOVES)
-def test_a_doubled_reply_before_the_fence_returns_is_dropped(session, name):
-    session.play(f'{LIFTS} < OK; call {name}; > ECHO; < OK ECHO; > {name}; < ERROR:8002;'
-                 f'{name} is refused')
-    assert len(session.warnings('out of step: OK to ECHO')) == 1, 'the doubled reply is logged'
-
-
-@pytest.mark.parametrize('name', ['lift', 'gimbal', 'raw', 'custom'])
-def test_before_a_move_a_fence_is_renewed_after_1_s(session, name):
-    """Rule 10: the other side may stand meanwhile, and would deliver the move when it goes on."""
-    session.later(FENCE_AGE - 0.01)
-    session.play(f'call {name}; > {name}; < OK; call echo; > echo; < ECHO:mine; call {name}; fence')
-    session.later(FENCE_AGE + 0.01)
-    session.play(f'> ECHO; +0.8; +M; {name} is not sent')
-
-
 # -- rule 6: a board that does not echo ----------------------------------------------------------
-
-def test_after_three_unanswered_echoes_no_call_is_sent_until_one_returns(fresh):
-    """bus/echo is true: one line names it, and all calls get NOT_SENT."""
-    fresh.master.connected(fresh.now)
-    fresh.play('> SYNC; < SYNC; > ECHO; +T; > ECHO; +T; > ECHO')
-    assert fresh.master.condition() is Condition.OUT_OF_STEP and not fresh.warnings('bus/echo')
-    fresh.play('+T')
-    for _ in range(4):
-        assert fresh.master.condition() is Condition.NO_ECHO
-        for name in MOVES + ('air',):
-            fresh.call(name)
-        fresh.play('> SYNC; < SYNC; > ECHO; +T; > SYNC; < SYNC; > ECHO; +T; lift is not sent;'
-                   'gimbal is not sent; raw is not sent; air is not sent')
-    assert 'bus/echo' in fresh.outcome('lift').message
-    assert len(fresh.warnings()) == 1 and fresh.warnings('set bus/echo to false')
-    fresh.play('call lift; > SYNC; < SYNC; fence; > lift; < OK; lift is done')
-    assert fresh.master.condition() is Condition.READY
 
 
 @table(
@@ -575,22 +455,6 @@ def test_without_echo(without_echo, script):
     without_echo.play(script)
 
 
-@pytest.mark.parametrize('name', MOVES)
-def test_without_echo_a_move_waits_for_a_silence_since_the_last_byte(without_echo, name):
-    session = without_echo
-    session.play('+0.021; call air; > air; +0.1; < AIR')
-    session.call(name)
-    assert session.master.step(session.now) == (None, pytest.approx(session.now + FENCE_SILENCE))
-
-
-def test_without_echo_any_byte_ends_the_silence(without_echo):
-    session = without_echo
-    session.play('+0.021; call air; > air; < AIR; +0.1')
-    session.master.bytes_came(session.now)      # of what is no frame, and may go on
-    session.call('lift')
-    assert session.master.step(session.now) == (None, pytest.approx(session.now + FENCE_SILENCE))
-
-
 # -- rule 5: data in an OK ------------------------------------------------------------------------
 
 @pytest.mark.parametrize('name', ['lift', 'gimbal', 'custom'])
@@ -598,46 +462,6 @@ def test_without_echo_any_byte_ends_the_silence(without_echo):
 def test_an_ok_with_unexpected_data_is_taken_behind_a_fence(session, name, reply):
     session.play(f'call {name}; send {name}; < {reply}; {name} is done;' * 2 + 'in step')
     assert session.outcome(name).data == session._reply(reply).data
-
-
-def test_a_timeout_says_which_other_reply_was_received(without_echo):
-    without_echo.play('+0.021; call lift; > lift; < AIR; +M; lift is not known')
-    assert f'{AIR_REPLY}' in without_echo.outcome('lift').message
-    assert without_echo.warnings('no reply to "lift up 100 mm" within 5 s but OK')
-
-
-@pytest.mark.parametrize('data', [b'', bytes(4), bytes(7)], ids=len)
-@pytest.mark.parametrize('poll', [False, True], ids=('call', 'poll'))
-def test_a_reply_of_a_wrong_length_is_reported_at_once(session, data, poll):
-    """A poll without a fence is sent once more after the ECHO: the reply may be another's."""
-    wrong = f'< OK:{data.hex()};'
-    session.play(f'poll air; > air; < AIR; poll air; > air; {wrong} air is waiting; fence; > air;'
-                 f'{wrong}' if poll else f'call air; > air; {wrong}')
-    outcome = session.outcome('air')
-    assert (outcome.success, outcome.status, outcome.data) == (False, bus.OK, data)
-    assert f'{len(data)} bytes' in outcome.message and '6 were expected' in outcome.message
-    assert session.master.timeouts == 0
-    assert session.master.data_errors == {'length': 1 + poll}
-    assert len(session.warnings()) == 1
-    session.play('call air; fence')
-
-
-def test_a_reply_with_impossible_values_is_reported_and_counted(session):
-    layout = Layout('<B', [Value('level', maximum=100)])
-    for data, success in (('64', True), ('65', False)):
-        call = session.call('custom', reply=layout)
-        session.play(f'send custom; < OK:{data}')
-        assert call.outcome.status == bus.OK and call.outcome.success == success
-    assert 'level is 101, above the maximum of 100' in call.outcome.message
-    assert session.master.data_errors == {'implausible': 1}
-
-
-@pytest.mark.parametrize('reply, is_valid', [('AIR', True), ('OK', False), ('ERROR:8000', False)])
-def test_on_success_is_called_with_a_valid_reading_only(session, reply, is_valid):
-    readings = []
-    session.call('air', tries=1, poll=True, on_success=readings.append)
-    session.play(f'> air; < {reply}')
-    assert [outcome.data for outcome in readings] == ([AIR_REPLY.data] if is_valid else [])
 
 
 # -- rule 7: the port closes, callers that wait or give up -----------------------------------------
@@ -667,98 +491,6 @@ def test_on_success_is_called_with_a_valid_reading_only(session, reply, is_valid
 )
 def test_the_outcome_is_true(session, script):
     session.play(script)
-
-
-def test_the_outcome_of_a_request_sent_while_its_caller_gives_up_is_not_known():
-    call = Call(REQUESTS['lift'], bus.LIFT_FUNCTION, 1.0, 1, 0.0)
-    lock = call._lock
-
-    class ClaimedFirst:
-        """The link's thread holds the lock before the caller does."""
-
-        def __enter__(self):
-            call._lock = lock
-            assert call.claim()
-            lock.acquire()
-
-        def __exit__(self, *_):
-            lock.release()
-
-    call._lock = ClaimedFirst()
-    outcome = call.wait(0.0)
-    assert outcome.status == TIMEOUT and 'not known' in outcome.message
-    assert call.outcome is outcome
-
-
-def test_only_the_first_outcome_counts():
-    call = Call(REQUESTS['lift'], bus.LIFT_FUNCTION, 1.0, 1, 0.0)
-    first, second = (Outcome(status, '') for status in (NOT_SENT, bus.OK))
-    call.finish(first)
-    call.finish(second)
-    assert call.wait(0.0) is first
-    assert not call.claim() and not call.claim_at_once()
-
-
-# -- how long a call waits ------------------------------------------------------------------------
-
-def test_a_call_to_a_board_that_never_synchronises_expires_soon(fresh):
-    fresh.master.connected(fresh.now)
-    fresh.play('> SYNC; call lift; +0')
-    assert fresh.wake_at() <= fresh.now + NOT_READY_WAIT
-    fresh.play('+T; > SYNC; +0.8; lift is not sent')
-    assert 'SYNC' in fresh.outcome('lift').message
-
-
-@pytest.mark.parametrize('script, name, end', [
-    ('call raw; send raw; +T; call custom', 'custom', 'not sent'),      # while it is out of step
-    (f'{AIRS} call IT', 'lift', 'not sent'), (f'{AIRS} call raw', 'raw', 'not sent'),    # fences
-    (f'{LIFTS} +M; call raw', 'raw', 'not sent'),
-    ('call raw; send raw; +T+-0.1; < INVALID:40', 'raw', 'not known')])
-def test_a_call_ends_within_its_timeout_and_a_second(session, script, name, end):
-    """While nothing is answered; nothing but ECHO and SYNC is sent meanwhile."""
-    session.play(script.replace('IT', name))
-    call = session.calls[name]
-    while call.outcome is None:
-        asked = session.next_request()
-        assert asked is None or asked.cmd1 in (bus.ECHO, bus.SYNC)
-        session.now = session.wake_at()
-        session.later(0.0)
-    session.play(f'{name} is {end}')
-    assert session.now - call.submitted <= call.timeout + 1.0
-
-
-def test_the_deadline_is_that_of_the_request_or_of_a_waiting_call(session):
-    session.play('call raw; send raw; call lift')
-    assert session.wake_at() == pytest.approx(session.now + REPLY_TIMEOUT)
-
-
-TWO_MOVES = 'call gimbal; call lift; call raw; send gimbal; +1; < OK; send lift;'
-
-
-@pytest.mark.parametrize('script, why', [
-    ('call raw', 'the link waits for the rest of an incomplete frame'),
-    (TWO_MOVES, 'the bus is busy with other calls'), (TWO_MOVES + 'noise', 'out of step')])
-def test_a_call_that_waits_is_told_what_for(session, script, why):
-    session.play(script)
-    session.now = session.calls['raw'].submitted + MOTION_TIMEOUT
-    assert session.master.step(session.now, 'the rest of an incomplete frame')[0] is None
-    assert session.outcome('raw') == (NOT_SENT, f'{why}; nothing was sent', 0, b'', 0.0, True, None)
-
-
-def test_at_the_closing_every_call_is_told_so(session):
-    session.play('call lift; call stop; disconnected; lift is not sent; stop is not sent')
-    assert 'the port is closed' in session.outcome('lift').message
-
-
-def test_the_condition_says_why_calls_are_not_served(fresh):
-    for script, condition in (('', Condition.SYNCHRONISING), ('connected', Condition.READY),
-                              ('noise', Condition.OUT_OF_STEP), (NO_ECHO, Condition.NO_ECHO),
-                              ('+T', Condition.NO_SYNC),
-                              ('> SYNC; < SYNC', Condition.OUT_OF_STEP),
-                              ('fence', Condition.READY)):
-        fresh.play(script)
-        assert fresh.master.condition() is condition
-    assert not fresh.warnings('bus/echo'), 'a board that is off'
 
 
 # -- rule 8: calls that interrupt -----------------------------------------------------------------
@@ -797,164 +529,6 @@ def test_the_condition_says_why_calls_are_not_served(fresh):
 )
 def test_stops(session, script):
     session.play(script)
-
-
-def test_a_stop_is_sent_before_the_board_answers_sync(fresh):
-    fresh.master.connected(fresh.now)
-    fresh.play('> SYNC; call stop; > stop; lost')
-    assert fresh.master.condition() is Condition.SYNCHRONISING
-    fresh.play('> SYNC; < SYNC; fence; > stop; < OK; stop is done')
-
-
-@pytest.mark.parametrize('idle', [True, False], ids=('idle', 'moving'))
-def test_a_stop_waits_for_nothing_that_is_received(session, idle):
-    session.play('' if idle else LIFTS)
-    session.play('call stop; call raw')
-    held = 'the rest of an incomplete frame'
-    assert session.master.step(session.now, held, port_ready=False)[0] is None
-    assert session.master.step(session.now, held)[0] == REQUESTS['stop']
-    assert session.master.step(session.now, held)[0] is None, 'all others wait'
-    session.now += MOTION_TIMEOUT
-    session.master.step(session.now, held)
-    session.play('stop is not known; raw is not sent' + '; lift is not known' * (not idle))
-
-
-def test_of_two_stops_both_have_an_outcome(session):
-    session.play(LIFTS)
-    stops = [session.call('stop'), session.call('stop')]
-    session.play('> stop; > stop; fence; > stop; < OK; send stop; < OK')
-    assert all(stop.outcome.success for stop in stops)
-
-
-@pytest.mark.parametrize('name', MOVES)
-@pytest.mark.parametrize('code', ['40', '10', '20'])
-def test_after_noise_an_invalid_makes_the_outcome_unknown(session, name, code):
-    """The noise may have been the OK, and the INVALID a reply to noise on the way to the board."""
-    session.play(f'call {name}; send {name}; noise; < INVALID:{code}; {name} is not known;'
-                 + ('> SYNC; < SYNC;' if code == '10' else '') + 'fence; > -')
-    assert session.outcome(name).error_code == int(code, 16)
-
-
-def test_a_reading_is_asked_for_again_after_noise_and_an_invalid(session):
-    session.play('call air; send air; noise; < INVALID:40; air is waiting; fence; > air; < AIR;'
-                 'air is done')
-
-
-def test_a_repeatable_call_is_not_told_as_refused_after_an_ok(session, monkeypatch):
-    monkeypatch.setitem(FUNCTIONS, 'own', FUNCTIONS['own']._replace(repeatable=True))
-    session.announces = True
-    session.play('call own; send own; < INVALID:10; > SYNC; < OK SYNC; fence; > -;'
-                 'own is not known; call twice; send twice; < INVALID:40; > ECHO; < OK ECHO;'
-                 '> twice; refused; twice is not known')
-
-
-@pytest.mark.parametrize('script', [
-    'call twice; send twice; < INVALID:40; > ECHO; < OK; < ECHO; send twice; < INVALID:40; fence;'
-    'send twice; < INVALID:40; fence; > -; twice is not known',
-    'call twice; send twice; damaged; > ECHO; < ECHO; send twice; < INVALID:20; fence; > -;'
-    'twice is not known',
-    'call twice; send twice; +T; > ECHO; < ECHO; send twice; < INVALID:20; fence; > -;'
-    'twice is not known',
-    'call stop; > stop; > ECHO; < OK ECHO; send stop; < INVALID:20; fence; > -; stop is not known'],
-    ids=('an OK', 'a damaged reply', 'no reply', 'at once'))
-def test_what_may_have_been_executed_before_is_not_told_as_refused(session, script):
-    session.play(script)
-
-
-def test_a_reply_behind_the_confirming_echo_needs_another_echo(session):
-    session.play(f'{LIFTS} < INVALID:40; > ECHO; < ECHO OK; lift is not known; call gimbal; fence;'
-                 '> gimbal')
-
-
-def test_a_stop_is_sent_again_if_the_port_did_not_take_the_echo_behind_it(session):
-    session.play(f'{LIFTS} call stop; > stop; > ECHO; refused; > stop; > ECHO')
-
-
-# -- rules 9 and 10: what waited, or may still wait -----------------------------------------------
-
-def test_after_a_stall_only_what_is_repeatable_is_sent(session):
-    session.play(f'{LIFTS} call gimbal; call air; poll read; +0')
-    session.call('raw')      # submitted during the stall
-    session.master.stalled(session.now)
-    session.play('gimbal is not sent; raw is not sent; air is waiting; lift is waiting; < OK;'
-                 'lift is done; fence; > air; < AIR; send read')
-
-
-def test_what_was_called_before_a_stall_and_submitted_after_it_is_not_sent(session):
-    """The caller's thread stood between the two, and the link's thread goes on before it."""
-    for name in ('lift', 'air'):
-        session.calls[name] = Call(REQUESTS[name], FUNCTIONS[name], 1.0, 1, session.now)
-    session.now += 0.4
-    session.master.stalled(session.now)
-    for call in session.calls.values():
-        session.master.submit(call)
-    session.play('fence; > air; < AIR; lift is not sent; +0.5; call gimbal;'
-                 'send gimbal')
-
-
-@pytest.mark.parametrize('stall', [0.9, MOTION_TIMEOUT + 1.0])
-def test_a_stop_that_waited_during_a_stall_is_sent_however_long_it_was(session, stall):
-    session.play(f'{LIFTS} call stop')
-    session.now += stall
-    session.master.stalled(session.now)
-    held = 'the end of the bytes that waited during a stall'
-    assert session.master.step(session.now, held)[0] == REQUESTS['stop']
-    session.play('lift is not known')
-
-
-def test_output_is_dropped_if_a_move_that_a_stop_ended_is_not_answered(session):
-    session.play(LIFTS)
-    sent = session.now
-    session.play('+1; call stop; > stop')
-    while not session.dropped and session.now < sent + 2 * MOTION_TIMEOUT:
-        while session.next_request():
-            pass
-        session.later(0.1)
-    assert session.dropped == [sent]
-    assert MOTION_TIMEOUT <= session.now - sent < MOTION_TIMEOUT + REPLY_TIMEOUT + 0.2
-    assert session.next_request() == REQUESTS['stop'], 'it may have been dropped, too'
-
-
-def test_output_is_not_dropped_after_a_stop_if_the_port_was_opened_since(session):
-    session.play(f'{LIFTS} +1; call stop; > stop; disconnected; connected; call raw; > raw; +M;'
-                 '> ECHO; +M')
-    assert len(session.dropped) == 1, 'that of the raw request'
-
-
-@pytest.mark.parametrize('name', ['lift', 'gimbal', 'raw', 'custom', 'air', 'read'])
-def test_output_is_dropped_if_a_move_is_not_answered(session, name):
-    session.play(f'call {name} 1; send {name}')
-    sent = session.now
-    session.later(MOTION_TIMEOUT)
-    assert session.dropped == ([] if name in ('air', 'read') else [sent])
-
-
-# -- rule 12: another board behind the same port ---------------------------------------------------
-
-def test_an_announced_function_is_sent_only_to_a_board_that_has_announced_it(session):
-    session.play('call own; > -')
-    assert session.outcome('own')[:2] == (
-        NOT_SENT, 'the board may have begun anew, and has not announced this function since; '
-        'nothing was sent')
-    assert session.begun_anew == []
-    session.announces = True
-    session.play('call own; send own')
-
-
-@pytest.mark.parametrize('before, reply', [
-    ('', 'INVALID:10'), ('call own; send own;', 'INVALID:10'), ('missed; > ECHO;', 'INVALID:10'),
-    ('call sync; > sync;', 'SYNC')], ids=('unrequested', 'to the call', 'to an ECHO', 'SYNC'))
-def test_what_waits_is_not_sent_to_a_board_that_begins_anew(session, before, reply):
-    session.announces = True
-    session.play(f'{before} call own; call lift; < {reply}')
-    assert session.begun_anew == [session.now] and not session.announces
-    session.play(('> SYNC; < SYNC; fence; ' if reply != 'SYNC' else '')
-                 + 'send lift; own is not sent; lift is waiting')
-
-
-def test_an_announced_stop_is_not_sent_to_a_board_that_begins_anew(session):
-    session.announces = True
-    session.play(f'{LIFTS} < INVALID:10; call ownstop; > SYNC; ownstop is not sent')
 
 
 # -- the table -------------------------------------------------------------------------------------

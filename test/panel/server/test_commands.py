@@ -5,18 +5,14 @@ from unittest import mock
 
 import pytest
 import rospy
-from std_srvs.srv import SetBoolResponse, Trigger
+from std_srvs.srv import SetBoolResponse
 
 from waiting import PATIENCE, until
 from serial_communication.boards.arduino.wire import SPEED_LIMIT
-from serial_communication.link.outcome import Verdict
 from serial_communication.tools.panel import commands as panel_commands
 from serial_communication.tools.panel.commands import Commands
 from serial_communication.tools.panel.dead_man import SILENCE, CommandRefused
-from serial_communication.tools.panel.feed import _link_update
-from serial_communication.tools.panel.forms import service
-from serial_communication.tools.watch.calls import Answer
-from serial_communication.tools.watch.state import BridgeState, LinkState
+from serial_communication.tools.watch.calls import Answer, Verdict
 
 NODE = '/serial_communication'
 PAGE = 'a page'
@@ -116,41 +112,3 @@ def test_a_stop_without_an_answer_or_refused_sends_speed_0(panel):
         assert speeds(panel) == [0]
         answer.set()
         until(lambda: len(speeds(panel)) == 2, 'it is sent again when the call fails')
-
-
-def test_a_request_and_what_delays_the_call_may_take_2_s_together(panel):
-    seen, deadlines, answered = time.monotonic(), [], threading.Event()
-
-    def call(_name, _service_class, _request, deadline):
-        deadlines.append(deadline)
-        answered.set()
-        return Answer(Verdict.REFUSED, 'too late')
-
-    with mock.patch.object(panel_commands, 'board_services',
-                           return_value={'~lift': service(Trigger, 'bus')}):
-        panel.commands.changes(BridgeState(NODE))
-    with mock.patch.object(panel_commands, 'call', call):
-        with mock.patch.object(time, 'monotonic', return_value=seen + 1.9):
-            panel.commands.call(PAGE, '1', seen, '~lift', {})
-        assert answered.wait(PATIENCE)
-    assert deadlines == [seen + 2.0]
-
-
-def test_a_call_for_which_no_thread_starts_is_refused_and_counts_no_more(panel):
-    with mock.patch.object(panel_commands, 'board_services',
-                           return_value={'~lift': service(Trigger, 'bus')}):
-        panel.commands.changes(BridgeState(NODE))
-    with mock.patch.object(threading.Thread, 'start',
-                           side_effect=RuntimeError("can't start new thread")):
-        for number in range(20):        # more than may be under way at once
-            panel.commands.call(f'page {number}', str(number), time.monotonic(), '~lift', {})
-    assert {(call['outcome'], call['words']) for call in panel.calls.values()} == {
-        ('refused', "nothing was sent: can't start new thread")}
-    assert len(panel.calls) == 20
-
-
-def test_the_values_of_many_settings_are_not_cut():
-    """A page begins with them."""
-    settings = ', '.join(f'left_wheel_gain_{number}={number}.25' for number in range(100))
-    shown = _link_update(LinkState(0, 'open', {'settings': settings, 'port': 'x' * 9999}), [])
-    assert shown['values'] == {'settings': settings, 'port': 'x' * 500}

@@ -1,26 +1,19 @@
 """The panel, tested with clients without a browser: access, limits, subscriptions and commands."""
 import contextlib
-import json
 import os
-import re
 import signal
 import socket
 import subprocess
-import threading
 import time
 from itertools import count
 
 import pytest
-import rospy
-from boards import PACKAGE, PATIENCE, Master, again_if_stalled, program, settle, until
+from boards import PACKAGE, Master, again_if_stalled, program, settle, until
 from panel_helpers import (KEPT_BACK, NODE, TOKEN, Page, Panel, publishers_and_subscribers,
-                           subscribed, suspended)
+                           subscribed)
 
-from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.msg import SpeedPWMCommand
 
-MASK = bytes(4)      # of a WebSocket frame
 TOPICS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 
 
@@ -28,15 +21,6 @@ TOPICS = ['~imu', '~voltage', '~environment', 'mcu/range_1', '~nothing']
 def page(panel):
     with Page(panel, watch=TOPICS) as page:
         yield page
-
-
-@pytest.fixture(scope='module')
-def two_pages(panel):
-    """A page that acknowledges nothing, and one that does.
-
-    The first is dropped after 5 s, during which other tests run.
-    """
-    return Page(panel, acknowledges=False), Page(panel)
 
 
 @pytest.fixture
@@ -65,16 +49,6 @@ def run(*arguments, environment=None):
                           stdout=subprocess.PIPE, stderr=subprocess.PIPE,
                           env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:1',
                                **(environment or {})})
-
-
-@pytest.mark.usefixtures('two_pages')       # so that their 5 s begin
-def test_a_port_in_use_ends_with_one_line_that_names_its_holder_and_a_free_port(panel):
-    done = run('--port', str(panel.port))
-    assert done.returncode == 1 and len(done.stderr.splitlines()) == 1
-    found = re.fullmatch(r'panel: cannot listen on 127.0.0.1 port (\d+): Address already in use, '
-                         r'by panel \(pid (\d+)\); free: --port (\d+)\n', done.stderr)
-    assert found.group(1, 2) == (str(panel.port), str(panel.process.pid))
-    assert int(found.group(3)) > panel.port
 
 
 def test_at_a_new_master_the_panel_starts_again_with_its_port_and_token():
@@ -106,16 +80,6 @@ def test_without_a_master_the_panel_serves_pages_that_say_so():
         panel.wait_for('panel: waiting for the ROS master at http://127.0.0.1:1; start one with')
         page.until(lambda page: 'no answer from the ROS master' in page.known.get('trouble', ''),
                    'the page shows it')
-
-
-def test_a_second_panel_of_the_same_name_ends_and_the_first_continues(panel):
-    second = Panel(name='panel_read_only')
-    assert second.process.wait(PATIENCE) == 3
-    second.wait_for('another node is named /panel_read_only')
-    second.wait_for('or name this one: __name:=panel_read_only_2')
-    assert 'Traceback' not in second.output()
-    with Page(panel, watch=TOPICS) as page:
-        page.until(lambda page: '~imu' in page.samples, 'the first continues')
 
 
 # -- access -----------------------------------------------------------------------------------
@@ -167,11 +131,6 @@ def test_a_connection_needs_the_token(control_panel):
     assert control_panel.output().count(TOKEN) == 1
 
 
-def test_a_token_from_a_file_is_on_no_command_line(control_panel):
-    with open(f'/proc/{control_panel.process.pid}/cmdline') as command_line:
-        assert TOKEN not in command_line.read()
-
-
 def test_on_loopback_a_name_of_this_machine_is_refused(panel, control_panel):
     """A proxy or a tunnel that others reach is behind it."""
     for each in panel, control_panel:
@@ -181,39 +140,6 @@ def test_on_loopback_a_name_of_this_machine_is_refused(panel, control_panel):
             assert Page(each, host=f'{host}:{each.port}').status == 403
         assert each.get('/', Host='127.0.0.1')[0] == each.get('/', Host='localhost')[0] == 200
         each.wait_for('is not a name of this machine')
-
-
-def test_a_page_that_sends_too_often_or_invalid_messages_is_dropped(panel):
-    for message in (b'{', b'[1]', b'{"watch": 5}', b'{"drive": 1}', b'{"seen": NaN}',
-                    b'{"seen": 1e999}', b'{"release": {"hold": 1e999}}',
-                    b'{"release": {"hold": -Infinity}}',
-                    b'{"seen": 1%s, "led": {"text": ""}}' % (b'0' * 400), b'[' * 4000):
-        page = Page(panel)
-        page.write(message)
-        until(lambda: 'sent an invalid message' in page.closed, f'{message} is refused')
-    page = Page(panel)
-    page.send_raw((b'\x81\x8b' + MASK + b'{"seen": 0}') * 4000)
-    until(lambda: 'more than 120 frames a second' in page.closed, 'it is dropped')
-    page = Page(panel)
-    page.write(json.dumps({'watch': ['x' * 40000]}).encode())
-    until(lambda: page.closed, 'a message that is too long closes the connection')
-
-
-def test_a_slow_page_is_dropped_and_the_others_are_not(panel, two_pages):
-    slow, other = two_pages
-    until(lambda: 'does not read' in slow.closed, 'the slow one is dropped')
-    assert not other.closed
-    panel.wait_for('it does not read what is sent to it')
-    other.close()       # there is room for 16
-
-
-def test_the_17th_page_is_refused(panel):
-    with contextlib.ExitStack() as stack:
-        pages = [stack.enter_context(Page(panel)) for _ in range(16)]
-        assert {page.status for page in pages} == {101}
-        assert Page(panel, patient=False).status == 503
-        pages[0].close()
-        assert stack.enter_context(Page(panel)).status == 101
 
 
 # -- subscriptions and updates ----------------------------------------------------------------
@@ -232,13 +158,6 @@ def test_only_the_topics_that_pages_show_are_subscribed_to(panel):
     until(lambda: subscribed(panel.node) == wanted, 'the wire is not subscribed to any more')
     page.close()
     until(lambda: not subscribed(panel.node), 'nothing is subscribed to')
-
-
-def test_a_page_opened_later_receives_the_history(page, panel):
-    page.until(lambda page: '~environment' in page.samples, 'the air')
-    with Page(panel, watch=TOPICS) as later:
-        later.until(lambda page: page.updates, 'the first update')
-        assert 'smoke' in later.updates[0]['topics']['~environment']['fields'][0]
 
 
 # -- commands ---------------------------------------------------------------------------------
@@ -343,57 +262,8 @@ def test_a_double_click_moves_once(driver, robot):
     again_if_stalled(clicked_often)
 
 
-@pytest.mark.parametrize('name', ['~beep', '~dock'])
-def test_the_outcome_of_a_call_answered_too_late_is_not_known(driver, robot, name):
-    """Also if the type of the response has no status."""
-    answered = threading.Event()
-
-    def late(request):
-        answered.wait(PATIENCE)
-        return robot.bus.usual(request)
-    robot.bus.script.append(late)
-    try:
-        answer = driver.call(name)
-    finally:
-        answered.set()
-    assert (answer['outcome'], answer['words']) == (
-        'not known', 'no reply within 0.3 s: it is not known whether this was executed; '
-        'check the robot before you repeat it')
-
-
 _REFUSED = bus.Reply(bus.ERROR, b'\2\x80')
 _WEIGHT = bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841'))
-
-
-def test_a_reply_is_shown_with_its_outcome_and_its_fields_if_it_is_done(driver, robot):
-    for name in '~weigh', '~beep', '~dock':
-        answer = call_until_known(driver, robot, name, _REFUSED)
-        assert (answer['outcome'], answer['reply'], answer['words']) == (
-            'refused', [], 'the board refused: 0x8002: the operation failed'), name
-    answer = call_until_known(driver, robot, '~weigh', _WEIGHT)
-    assert (answer['outcome'], answer['reply']) == (
-        'done', [['environment.smoke', '1234'], ['environment.temperature', '23'],
-                 ['environment.humidity', '0']])
-
-
-def test_the_outcome_of_a_call_is_not_known_if_the_bridge_dies(driver, robot):
-    until(lambda: time.monotonic() - driver.now < 1, 'the page is up to date')
-    killed = []
-
-    def kill(_request):
-        robot.bridge.process.kill()
-        killed.append(True)
-        return b''
-
-    def killed_by_its_call():
-        # A call that a board without processor time has not received is dropped.
-        settle(PACKAGE, robot.bus)
-        robot.bus.script.append(kill)
-        answer = driver.call('~beep')
-        return answer if killed else None
-    answer = again_if_stalled(killed_by_its_call)
-    assert answer['outcome'] == 'not known' and 'before you repeat it' in answer['words']
-    robot.start_bridge()
 
 
 def test_invalid_calls_are_refused(driver, robot):
@@ -489,18 +359,6 @@ def test_a_lost_connection_stops_the_car(driver, control_panel, robot):
     until(has_stopped(robot), 'the car stops')
 
 
-def test_a_panel_that_was_suspended_does_not_continue_to_drive(driver, control_panel, robot):
-    hold = drive_until(driver, drives(robot), 'the car drives')
-    with suspended(control_panel.process.pid):
-        for _ in range(20):
-            drive(driver, hold, speed=170)     # waits in the panel's socket
-        wait(0.6)       # longer than the bridge's own timeout, and than a command may be old
-        until(has_stopped(robot), "the bridge's own timeout stops the car")
-    seen = driver.now
-    driver.until(lambda page: page.now > seen + 0.3, 'the panel continues')
-    assert 170 not in robot.car.speeds
-
-
 def test_the_car_stops_when_the_panel_ends(robot):
     with Panel('--control', '--token', TOKEN, name='panel_third') as panel:
         page = Page(panel, TOKEN).settle()
@@ -508,26 +366,6 @@ def test_the_car_stops_when_the_panel_ends(robot):
         drive_until(page, drives(robot), 'the car drives')
         panel.process.send_signal(signal.SIGTERM)
         until(has_stopped(robot), 'the car stops')
-
-
-def test_two_pages_do_not_drive_at_once(driver, control_panel, robot):
-    with Page(control_panel, TOKEN).settle() as other:
-        presses = count(1)
-
-        def only_one_drives():
-            robot.car.forget()
-            hold, press = drive_until(driver, drives(robot), 'the car drives'), next(presses)
-            for page in driver, other:
-                page.known.pop('refused', None)
-
-            def both():
-                drive(driver, hold)
-                drive(other, press, speed=-90)
-            until(lambda: is_refused('another page drives')(other) or 'refused' in driver.known,
-                  'the other is refused', doing=both, every=0.04)
-            return 'refused' not in driver.known    # this machine stalled, and its hold has ended
-        again_if_stalled(only_one_drives)
-    assert -90 not in robot.car.speeds
 
 
 # -- STOP -------------------------------------------------------------------------------------
@@ -555,28 +393,4 @@ def test_stop_holds_for_every_page_until_it_is_released(driver, control_panel, p
         page.until(lambda page: not shows_stop(page), 'it holds no more')
 
 
-def test_a_stop_that_the_bridge_does_not_answer_sends_speed_0(driver, robot):
-    received, key = [], f'stop {next(_KEYS)}'
-    topic = rospy.Subscriber(NODE + '/speed', SpeedPWMCommand,
-                             lambda message: received.append(message.value))
-    until(topic.get_num_connections, 'the speeds of the panel are received')
-    with suspended(robot.bridge.process.pid):
-        driver.send(stop={'key': key})
-        until(lambda: received, 'a speed is sent')
-    wait_for_answer(driver, key)
-    topic.unregister()
-    driver.call('~stop', data=False)
-    assert set(received) == {0}
-
-
 # -- a master, a bridge or a panel that hangs -------------------------------------------------
-
-
-def test_a_call_delayed_by_the_panel_moves_nothing(driver, control_panel, robot):
-    with suspended(control_panel.process.pid):
-        lift(driver, 'late')
-        driver.send(led={'key': 'old', 'text': 'old'})
-        wait(2.5)
-    wait_until_refused(driver, 'late', 'old')
-    assert not robot.lift_requests
-    assert arduino.encode(arduino.LedCommand('old')) not in robot.car.raw_commands

@@ -1,9 +1,9 @@
-"""The fault campaign: checks the requirements of doc/reliability.md against a running bridge.
+"""All faults at once, on real lines: checks the requirements of doc/reliability.md against a
+running bridge.
 
-The exact part has one fault at a time on quiet lines, so every comparison is exact. Then the
-statistical part has all faults at once, and damage on every line, for --duration or --hours. Every
-hour the exact part is repeated. After Ctrl-C it prints the table of the results so far. The exit
-status is 0 only if no requirement was violated, and each was tried as often as it has to be.
+Half of the time the boards are on serial lines, then behind networks. After Ctrl-C it prints the
+table of the results so far. The exit status is 0 only if no requirement was violated, and each was
+tried as often as it has to be.
 """
 import argparse
 import os
@@ -12,23 +12,15 @@ from random import SystemRandom
 parser = argparse.ArgumentParser(
     prog='campaign', description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument('--duration', type=float, default=60.0, metavar='S',
-                    help='duration of the statistical part in seconds (%(default)g)')
+                    help='in seconds (%(default)g)')
 parser.add_argument('--hours', type=lambda text: float(text) * 3600, dest='duration', metavar='N',
                     help='the same in hours')
 parser.add_argument('--seed', type=int, metavar='N', default=SystemRandom().randrange(1 << 31),
                     help='seed of the random numbers, to repeat a run')
 parser.add_argument('--busy', type=int, default=2, metavar='N',
-                    help='busy processes during the statistical part (%(default)d)')
+                    help='busy processes (%(default)d)')
 parser.add_argument('--keep', default='', metavar='DIR',
                     help='keep all records here, not only those of a violation')
-parser.add_argument('--part', default='all', metavar='NAME',
-                    help='run only this part (exact or storm), or only the scenarios of the exact '
-                         'part with NAME in their name (exact_car, openings)')
-parser.add_argument('--share', type=int, help=argparse.SUPPRESS)    # of the exact part
-parser.add_argument('--until', default='', metavar='REQUIREMENT',
-                    help='end when this requirement is violated')
-parser.add_argument('--bridge', default='', metavar='COMMAND',
-                    help='run this command instead of the node, to test the campaign')
 options = parser.parse_args()
 if options.keep and os.path.isdir(options.keep) and os.listdir(options.keep):
     parser.error(f'{options.keep} is not empty')

@@ -4,12 +4,12 @@ import re
 from typing import List
 
 import by_definition as codec
-from .boards import ALIVE, BLOB, COUNTER, FIELD, PLACE, SCAN, TIMED
+from .boards import ALIVE, COUNTER, SCAN
 
 _LONGEST = 2200          # bytes: no frame spans more
 _NOISE = 1, 2, 3, 8, 20, 60      # bytes
 _CAR_LENGTHS = {codec.STEERING_ANGLE: 2, codec.TICKS: 1, codec.IMU: 22, codec.VOLTAGE: 4,
-                COUNTER: 4, ALIVE: 0, FIELD: 6, TIMED: 5, PLACE: 6}
+                COUNTER: 4, ALIVE: 0}
 
 
 class DamagedLine:
@@ -70,7 +70,7 @@ class DamagedLine:
 
     def _is_harmless(self, frame: codec.Frame) -> bool:
         """Whether a packet of the car has an unknown type, or not the length of its type."""
-        return self._is_car and frame.type > 3 and frame.type not in (BLOB, SCAN) \
+        return self._is_car and frame.type > 3 and frame.type != SCAN \
             and len(frame.data) != _CAR_LENGTHS.get(frame.type)
 
 

@@ -9,10 +9,7 @@ import socket
 import threading
 import time
 import tty
-from types import SimpleNamespace
 from typing import Any, Callable, Iterator, List
-
-import serial.rfc2217
 
 from .writes import Writes
 
@@ -115,34 +112,6 @@ class SerialLine(threading.Thread):
     @property
     def plugged(self) -> bool:
         return self._master >= 0
-
-    def freeze(self) -> None:
-        """Read nothing any more, and fill the line. To be called while the bridge is suspended:
-        what it wrote before is read, and what it writes afterwards does not fit."""
-        self.drain()
-        self.frozen = True
-        while self.fill():      # until no more bytes leave the line
-            time.sleep(_PTY_DELAY)
-
-    def fill(self, most: int = 1 << 20) -> int:
-        """Write 0x00, which has no effect, until the line is full; return how many bytes fitted."""
-        fd, size = os.open(self.port, os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK), 0
-        for piece in 4096, 256, 1:      # a smaller piece may fit where a larger one does not
-            with contextlib.suppress(BlockingIOError):
-                while size < most:
-                    size += os.write(fd, bytes(piece))
-        os.close(fd)
-        return size
-
-    def hang(self) -> None:
-        """Read nothing any more, but let the line take bytes, behind those that can be read: only
-        what waits behind them can be dropped."""
-        self.frozen = True
-        self.fill(2 * 4096)
-
-    def thaw(self) -> None:
-        self._forget_writes()
-        self.frozen = False
 
     def drain(self) -> None:
         """Read all that a bridge has written that writes no more, however long the kernel delays
@@ -251,25 +220,13 @@ class NetworkLine(SerialLine):
     def write(self, data: bytes) -> bool:
         return not self.frozen and super().write(data)
 
-    def shut_down(self) -> None:
-        """End the connection as a program does that sends no more, but reads on: no reset."""
-        with socket.socket(fileno=os.dup(self._master)) as connection:
-            connection.shutdown(socket.SHUT_WR)
-
-    def lose_connection(self) -> None:
-        """Forget the connection without closing it, so the bridge is not notified."""
-        with self._lock:
-            self._master = -1
-            self.on_unplugged()
-
     def freeze(self) -> None:
         self.frozen = True
 
-    hang = freeze
-
     def thaw(self) -> None:
         with self._lock:
-            super().thaw()
+            self._forget_writes()
+            self.frozen = False
             self._end_if_closed()
 
     def _end_if_closed(self) -> None:
@@ -289,32 +246,4 @@ class NetworkLine(SerialLine):
                 self._writes.watch_connection(self._master)
                 self._forget_writes()
                 self._end_if_closed()       # while the network was frozen
-                self._accepted()
             super().read_all()
-
-    def _accepted(self) -> None:
-        """Called when there is another connection."""
-
-
-class Rfc2217Line(NetworkLine):
-    """The same with RFC 2217: its answers and doubled bytes are between those of the board."""
-
-    def plug(self, another_name: bool = False) -> None:
-        super().plug()
-        self.port = self.port.replace('socket', 'rfc2217')
-
-    def _accepted(self) -> None:
-        settings = SimpleNamespace(baudrate=0, bytesize=8, parity='N', stopbits=1, xonxoff=False,
-                                   rtscts=False, rts=False, dtr=False, cts=False, dsr=False,
-                                   ri=False, cd=False, break_condition=False,
-                                   reset_input_buffer=lambda: None,
-                                   reset_output_buffer=lambda: None)
-        self._manager = serial.rfc2217.PortManager(settings, SimpleNamespace(write=self._write))
-
-    def write(self, data: bytes) -> bool:
-        with self._lock:
-            return not self.frozen and self.plugged and self._write(
-                b''.join(self._manager.escape(self.damage(data))))
-
-    def _received(self, data: bytes) -> None:
-        super()._received(b''.join(self._manager.filter(data)))

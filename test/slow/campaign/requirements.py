@@ -1,13 +1,9 @@
 """The requirements that a campaign checks, their results, and the table of them."""
-import json
 import math
 import time
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Tuple
+from typing import Any, Callable, Dict, List
 
-from processes import Stage, StageError
-
-MAX_WAIT = 30.0      # s for an event without a limit of its own; only a failure takes so long
 _EXAMPLES = 4        # violations of a requirement that are kept and printed
 _UNDECIDED = 0.05    # share of the checks that may be undecided …
 _FEW = 2             # … and so many in any case
@@ -16,8 +12,8 @@ _FEW = 2             # … and so many in any case
 class Requirement:
     """One requirement and the results of its checks."""
 
-    def __init__(self, table: 'Table', part: str, group: str, text: str, least: int) -> None:
-        self._table, self._part, self._least = table, part, least
+    def __init__(self, table: 'Table', group: str, text: str, least: int) -> None:
+        self._table, self._least = table, least
         self.group, self.text = group, text
         self.checks = self.violations = 0
         self.undecided = 0      # checks without a result, since a witness was late, too
@@ -44,32 +40,6 @@ class Requirement:
     def keep_worst(self, value: float, unit: str) -> None:
         self._worst, self._unit = max(self._worst, value), unit
 
-    def wait(self, condition: Callable[[], Any], text: str, seconds: float = MAX_WAIT) -> Any:
-        """Check that `condition()` becomes true within `seconds`; StageError if it does not."""
-        try:
-            value = Stage.wait(condition, text, seconds)
-        except StageError as error:
-            self.check(False, str(error))
-            raise
-        self.check(True, '')
-        return value
-
-    @property
-    def results(self) -> Tuple[Any, ...]:
-        """What `add` takes in another process."""
-        return (self.checks, self.violations, self.undecided, self.examples, self._violated_at,
-                self._worst, self._unit)
-
-    def add(self, checks: int, violations: int, undecided: int, examples: List[str],
-            violated_at: float, worst: float, unit: str) -> None:
-        """Add the results of another process."""
-        self.checks += checks
-        self.violations += violations
-        self.undecided += undecided
-        self.examples = [*self.examples, *examples][:_EXAMPLES]
-        self._violated_at = min(filter(None, (self._violated_at, violated_at)), default=0.0)
-        self._worst, self._unit = max(self._worst, worst), self._unit or unit
-
     @property
     def worst_case(self) -> str:
         return f'{self._worst:.4g} {self._unit}' if self._worst > float('-inf') else ''
@@ -77,7 +47,7 @@ class Requirement:
     @property
     def least(self) -> int:
         """How often it should have been checked until now."""
-        return math.floor(self._least * self._table.runs[self._part])
+        return math.floor(self._least * self._table.minutes)
 
     @property
     def is_undecided(self) -> bool:
@@ -92,78 +62,36 @@ class Requirement:
                 else 'NOT DECIDED TOO OFTEN' if self.is_undecided else '')
 
 
-Results = Dict[Requirement, Dict[str, Any]]
-
-
 class Table:
-    """All requirements of rows.txt: by group, with how often each has to be checked at least.
+    """All requirements of rows.txt: by group, with how often each has to be checked in a minute.
 
-    That is in each run of the exact part; in the groups of the storm, in each minute of it. A
-    requirement that was checked less often, or too often without a result, is not fulfilled.
+    A requirement that was checked less often, or too often without a result, is not fulfilled.
 
     Attributes:
         on_violation: called with a requirement and what has violated it.
-        part: the part that runs now, `exact` or `storm`.
-        runs: how often each part was run; of the storm the minutes.
-        until: the requirement whose violation ends the campaign.
+        minutes: for how long it ran.
     """
 
     def __init__(self) -> None:
         self.on_violation: List[Callable[[str, str], Any]] = []
-        self.part, self.until = 'exact', ''
-        self.runs: Dict[str, float] = {'exact': 0, 'storm': 0}
-        self._rows: Dict[Tuple[str, str], Requirement] = {}
+        self.minutes = 0.0
+        self._rows: Dict[str, Requirement] = {}
         self.began = time.monotonic()
         group = ''
         for line in Path(__file__).with_name('rows.txt').read_text().splitlines():
             if line.startswith(' '):
                 least, text = line.split(None, 1)
-                part = group.split(':')[0] if group.startswith('storm') else 'exact'
-                assert (part, text) not in self._rows, text
-                self._rows[part, text] = Requirement(self, part, group, text, int(least))
+                self._rows[text] = Requirement(self, group, text, int(least))
             else:
                 group = line
 
     def row(self, text: str) -> Requirement:
-        """The requirement of the part that runs now, or else of the exact part."""
-        return self._rows.get((self.part, text)) or self._rows['exact', text]
-
-    @property
-    def rows(self) -> List[Requirement]:
-        return list(self._rows.values())
+        return self._rows[text]
 
     @property
     def used(self) -> List[Requirement]:
         """Those that were checked, or should have been."""
-        return [each for each in self.rows if each.checks or each.undecided or each.least]
-
-    def results(self) -> Results:
-        """All results so far."""
-        return {row: dict(vars(row)) for row in self.rows}
-
-    @staticmethod
-    def grown(what: str, since: Results) -> List[Requirement]:
-        """The requirements with more `violations`, or more `undecided` checks, since then."""
-        return [row for row, before in since.items() if vars(row)[what] > before[what]]
-
-    @staticmethod
-    def take_back(results: Results) -> None:
-        """Forget all later results."""
-        for row, before in results.items():
-            vars(row).update(before)
-
-    def dump(self) -> str:
-        """Return all results as JSON, for `add` in another process."""
-        return json.dumps([row.results for row in self.rows])
-
-    def add(self, dumped: str) -> None:
-        """Add the results of another process; an empty text has none."""
-        for row, results in zip(self.rows, json.loads(dumped or '[]')):
-            row.add(*results)
-
-    @property
-    def violated(self) -> List[Requirement]:
-        return [each for each in self.used if each.violations]
+        return [each for each in self._rows.values() if each.checks or each.undecided or each.least]
 
     @property
     def failed(self) -> List[Requirement]:
@@ -188,10 +116,10 @@ class Table:
     def _conclusion(self) -> str:
         few = sum(each.checks < each.least for each in self.used)
         tried = (f'{few} not tried as often as they have to be' if few
-                 else 'each tried as often as it has to be' if any(self.runs.values())
-                 else 'only a part of the scenarios was run')
+                 else 'each tried as often as it has to be')
+        violated = sum(each.violations > 0 for each in self.used)
         too_often = sum(each.is_undecided for each in self.used)
         undecided = sum(each.undecided for each in self.used)
-        return (f'{len(self.used)} requirements, {tried}; {len(self.violated)} violated; '
+        return (f'{len(self.used)} requirements, {tried}; {violated} violated; '
                 f'{undecided} checks not decided' + (
                     f', too many of {too_often} requirements' if too_often else ''))

@@ -1,4 +1,4 @@
-"""The statistical part: all faults at once, and damage on every line, for any duration.
+"""All faults at once, and damage on every line, for any duration.
 
 Every check uses only the last seconds, so the memory that a run needs does not grow.
 """
@@ -17,7 +17,6 @@ from typing import Any, Deque, Dict, Optional, Tuple
 import by_definition as codec
 from .boards import DEPTH, HEIGHT, Board, Reaction, Request, reply_frame
 from .damage import DamagedLine
-from .exact_node import POLLING
 from .lines import NetworkLine
 from .rig import MOTION_TIMEOUT, Rig
 from .storm_checks import CallCheck, GrowthCheck, MotorCheck, ValueCheck
@@ -34,11 +33,10 @@ _FAILED = reply_frame(codec.ERROR, struct.pack('<H', codec.FAILED))
 
 
 class Storm:
-    """The scenario of the statistical part, with so many `busy` processes that use all CPU time."""
+    """One run with so many `busy` processes that use all CPU time."""
 
     def __init__(self, rig: Rig, duration: float, seed: str, busy: int) -> None:
         self.rig, self._duration, self._busy = rig, duration, busy
-        self.__name__ = f"all faults at once, for {duration:g} s{' over networks' * rig.is_network}"
         self._random = random.Random(f'storm {seed}')
         self._stopping = threading.Event()
         # A bridge that is suspended cannot close the connection to a network that is frozen.
@@ -51,12 +49,16 @@ class Storm:
         self._motor, self._calls = MotorCheck(rig), CallCheck(rig)
         self._values = ValueCheck(rig)
 
-    def __call__(self, rig: Rig) -> None:
-        rig.start(POLLING)
-        rig.settle()
+    def __str__(self) -> str:
+        return (f"all faults at once, for {self._duration:g} s"
+                f"{' over networks' * self.rig.is_network}")
+
+    def run(self) -> None:
+        rig = self.rig
+        rig.start()
         self._connect()
-        traffic = rig.robot.subscribe_to_traffic(lambda message: None)
-        subscriber = rig.user('subscriber', 'storm_subscriber', *rig.robot.topics)
+        traffic = rig.robot.subscribe_to_traffic()
+        subscriber = rig.subscriber(*rig.robot.topics)
         children = [subscriber, *rig.busy(self._busy)]
         loops = (self._measure, self._drive, self._make_calls, self._make_calls,
                  lambda: self._disturb('mcu', 4.0), lambda: self._disturb('bus', 6.0),
@@ -64,7 +66,7 @@ class Storm:
         with ThreadPoolExecutor(len(loops)) as pool:
             running = [pool.submit(loop) for loop in loops]
             try:
-                self._run()
+                self._disturb_for_its_time()
             finally:
                 self._stopping.set()
                 wait(running, 5.0)
@@ -72,7 +74,7 @@ class Storm:
                 for child in children:
                     rig.end(child)
                 rig.end_bridge()        # also ends calls that hang
-                rig.robot.on_message = rig.robot.keep
+                rig.robot.on_value = lambda topic, key: None
                 rig.table.on_violation.remove(self._on_violation)
         self._motor.judge()
         for each in running:
@@ -80,7 +82,7 @@ class Storm:
         rig.row('frames that were damaged, in both directions').checks += sum(
             each.damaged for each in (*self._to_bridge.values(), self._to_bus))
 
-    def _run(self) -> None:
+    def _disturb_for_its_time(self) -> None:
         growth, until = GrowthCheck(self.rig, self._duration), time.monotonic() + self._duration
         with self.rig.clock.each(_USAGE_PERIOD, growth.measure):
             self._disturb_bridge(until)
@@ -119,12 +121,11 @@ class Storm:
         """Let the lines damage what they transfer, and the boards keep no records."""
         rig = self.rig
         rig.table.on_violation.append(self._on_violation)
-        rig.robot.on_message = self._values.published
+        rig.robot.on_value = self._values.published
         rig.car.on_packet, rig.car.on_beat = self._motor.received, self._motor.heartbeat
         rig.bus.on_request, rig.bus.executed = self._calls.received, self._calls.executed
         rig.bus.react, rig.bus.check_fence = self._react, self._calls.fences.append
         for link, board in self._boards.items():
-            board.sent = board.written = collections.deque(maxlen=0)
             board.line.damage = functools.partial(self._damage, link, board)
             board.line.on_unplugged = functools.partial(self._unplugged, link, board)
         rig.bus.line.on_bytes = self._to_bus_board

@@ -1,4 +1,4 @@
-"""What the statistical part checks: the motor, the calls, the values and the process.
+"""What the storm checks: the motor, the calls, the values and the process.
 
 Times are judged later, in the storm's own thread: to wait for the witness would delay the thread
 that reads the line.
@@ -17,7 +17,7 @@ from processes import usage_of
 import by_definition as codec
 from .boards import ANNOUNCE, DEPTH, HEIGHT, MEMORY, Fence, Key, Packet, Request
 from .rig import FENCED, POLLED_TOPICS, SPEED_TIMEOUT, Rig
-from .robot import Outcome, Published
+from .robot import Outcome
 
 _AGE, _NETWORK_AGE = 0.7, 1.5    # s; no older speed reaches the board
 _STOP_TIME = SPEED_TIMEOUT + 0.05      # s
@@ -44,7 +44,7 @@ class MotorCheck:
 
     def command(self, value: int) -> None:
         self._commands[value] = time.monotonic()
-        self._rig.robot.command('speed', value, time.time())
+        self._rig.robot.drive(value)
 
     def start_connection(self) -> None:
         self._is_first, self._speed_at = True, math.inf
@@ -104,7 +104,7 @@ class CallCheck:
         key, began = (MEMORY, struct.pack('<I', next(self._numbers))), time.monotonic()
         with self._lock:
             self._expected[key] = 1
-        outcome = self._rig.robot.call('bus/request', codec.FUNCTION, *key)
+        outcome = self._rig.robot.request(codec.FUNCTION, *key)
         with self._lock:
             del self._expected[key]
         self._rig.in_time(self._returned, began, time.monotonic(), _CALL_TIME, f'{key}')
@@ -199,17 +199,17 @@ class ValueCheck:
                     self._waiting[topic].append(
                         Value(key, time.monotonic(), must and topic not in POLLED_TOPICS))
 
-    def published(self, topic: str, message: Published) -> None:
-        if message.key is None or isinstance(message.key, str):
+    def published(self, topic: str, key: Any) -> None:
+        if key is None or isinstance(key, str):
             return
         with self._lock:
             keys = [each.key for each in self._waiting[topic]]
-            is_known = message.key in keys
+            is_known = key in keys
             if not is_known and topic in POLLED_TOPICS and topic not in self._latest:
                 return      # it was sent before the storm began, since a poll never pauses
             if self._rig.row('every published value was in a valid frame, in order, once').check(
-                    is_known, f'{topic} {message.key}'):
-                self._skip(topic, keys.index(message.key))
+                    is_known, f'{topic} {key}'):
+                self._skip(topic, keys.index(key))
                 value = self._waiting[topic].popleft()
                 self._latest[topic] = value.at
                 self._lost.checks += value.must

@@ -1,16 +1,15 @@
-"""When SPEED 0 has to be sent to the motor; the tests set the time."""
+"""When the zero of a motion has to be sent; the tests set the time."""
 import pytest
 
-from serial_communication.boards.arduino.motor import Motor, Stop
+from serial_communication.boards.arduino.motion import Motion, Stop
 
 
 @pytest.fixture
 def motor():
     """A stopped motor: SPEED 0 was sent, and all its repetitions."""
-    made = Motor(0.5, 0.0)
+    made = Motion(0, 0.5)
     made.sent(0, 0.0)
     repetitions(made, 0.0, 2.0)
-    made.awake(100.0)
     return made
 
 
@@ -19,7 +18,6 @@ def repetitions(motor, begin, end):
     sent = []
     for step in range(int((end - begin) * 100) + 1):
         now = begin + step / 100
-        motor.awake(now)
         if motor.due(now):
             motor.sent(0, now)
             sent.append(round(now - begin, 3))
@@ -27,10 +25,10 @@ def repetitions(motor, begin, end):
 
 
 def test_the_speed_is_unknown_until_the_first_speed_0():
-    motor = Motor(0.5, 0.0)
-    assert motor.speed_unknown and motor.moving and motor.due(0.0) is Stop.UNKNOWN_SPEED
+    motor = Motion(0, 0.5)
+    assert motor.is_unknown and motor.moves and motor.due(0.0) is Stop.UNKNOWN
     motor.sent(0, 0.0)
-    assert not motor.speed_unknown and not motor.moving and motor.due(0.01) is None
+    assert not motor.is_unknown and not motor.moves and motor.due(0.01) is None
 
 
 def test_a_stop_is_repeated_every_50_ms_for_a_second(motor):
@@ -78,15 +76,15 @@ def test_speed_0_is_due_after_the_speed_timeout(motor):
 
 
 def test_with_a_speed_timeout_of_0_no_speed_times_out():
-    motor = Motor(0.0, 0.0)
+    motor = Motion(0, 0.0)
     motor.sent(0, 0.0)
     motor.sent(500, 0.0)
     assert motor.due(1e6) is None
 
 
 def test_a_stop_of_an_unknown_speed_is_repeated(motor):
-    motor.forget_speed()
-    assert motor.due(100.0) is Stop.UNKNOWN_SPEED
+    motor.forget()
+    assert motor.due(100.0) is Stop.UNKNOWN
     motor.sent(0, 100.0)
     assert len(repetitions(motor, 100.0, 102.0)) == 20
 
@@ -97,39 +95,3 @@ def test_missed_repetitions_do_not_follow_all_at_once(motor):
     assert motor.due(100.4) is Stop.REPEATED
     motor.sent(0, 100.4)
     assert motor.due(100.42) is None and motor.due(100.45) is Stop.REPEATED
-
-
-def test_a_stall_is_reported_once_and_commands_are_ignored_for_a_while(motor):
-    assert motor.detect_stall(100.5) is None
-    assert motor.detect_stall(105.0) == pytest.approx(5.0)
-    assert motor.due(105.0) is Stop.UNKNOWN_SPEED
-    assert motor.ignores_commands(105.0) and motor.ignores_commands(105.4)
-    assert motor.detect_stall(105.0) is None
-    assert not motor.ignores_commands(105.6)
-
-
-@pytest.mark.parametrize('speed_timeout', [0.0, 0.01, 0.5, 10.0])
-def test_a_stall_begins_at_half_a_second_for_any_speed_timeout(speed_timeout):
-    motor = Motor(speed_timeout, 100.0)
-    assert motor.detect_stall(100.49) is None and motor.detect_stall(100.51) is not None
-    assert motor.due(100.51) is Stop.UNKNOWN_SPEED and motor.ignores_commands(100.51)
-
-
-def test_a_stall_of_the_receiving_threads_alone_is_a_stall(motor):
-    motor.sent(500, 100.0)
-    motor.awake(100.0)
-    reported, reported_at, sent = [], [], []
-    for step in range(1, 401):      # the receiving threads run again after 3 s
-        now = 100.0 + step / 100
-        stalled_for = motor.detect_stall(now, 100.0 if now < 103.0 else now)
-        if stalled_for is not None:
-            reported.append(stalled_for)
-            reported_at.append(now)
-        motor.awake(now)
-        if motor.due(now):
-            motor.sent(0, now)
-            sent.append(now)
-        if abs(now - 100.5) > 0.02 and abs(now - 103.5) > 0.02:
-            assert motor.ignores_commands(now) == (100.5 < now < 103.5)
-    assert reported == [pytest.approx(0.51, abs=0.011)]
-    assert reported_at[0] in sent and len(sent) <= 23, 'it is repeated like any stop'

@@ -1,0 +1,304 @@
+"""What may reach the model car, and when: commands, heartbeats, and zeros before them where needed;
+and what its measurements mean.
+
+Only this module, `motion` and `calibration` decide what may reach the motor.
+"""
+from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Type
+
+from ...framing.announcement import Chunk
+from ...framing.layout import LayoutMessage
+from ...framing.settings import SettingMessage
+from ...framing.stream import Frame
+from ...link.outcome import STOPPED
+from ...link.session import OK, WARN, Condition, Packet, Refused, Session
+from ...link.settings import BoardSettings
+from ...link.sparing_log import SparingLog
+from ...transport.pace import Allowance, clock
+from . import DESCRIPTION, LONGEST_GAP, wire
+from .calibration import Calibration, End
+from .heartbeats import Heartbeats
+from .line_time import LineTime
+from .motion import Motion, Stop
+
+_LONGEST_BURST = 0.05    # s of wire time that may wait; then more commands are refused
+_LONGEST_SLEEP = 0.02    # s; a low heartbeat rate must not make a zero late
+_BOARD_LINES = 100, 10.0     # log lines of the board that are taken: in a burst, then per second
+_CALIBRATES = 'the board calibrates its IMU, which takes minutes'
+_HEARTBEAT = wire.Heartbeat()
+_STILL = wire.SteeringCommand, wire.LedCommand, SettingMessage    # what ~stop does not refuse
+_OVERHEAD = 4            # bytes of a packet besides its data, at most
+
+
+class CarOptions(NamedTuple):
+    """Parameters of the session; times are in s."""
+
+    heartbeat_rate: float = 100.0        # Hz
+    speed_timeout: float = 0.5           # of each motion; 0: never
+    calibration_timeout: float = 900.0   # after this time a calibration counts as over
+    check_plausibility: bool = True
+    network_silence: float = DESCRIPTION.network_silence
+
+
+class CarSession(Session):
+    """The session of one model car.
+
+    Args:
+        on_message: called in the link's thread with the (message, stamp) of each message except
+            log messages, announcements and TIME.
+        on_log: called in the link's thread with the (severity 0 … 3, text) of each log message; if
+            the board sends too many, some are dropped.
+        on_calibrating: called with True when a calibration begins, with False when it ends.
+        messages: classes of custom messages that the board sends.
+        byte_time: s that the line needs for a byte.
+        now: the clock of settings alone: their sender may stall between two.
+    """
+
+    NAME = DESCRIPTION.name
+    STOPS_FIRST = True
+    board_settings: BoardSettings
+    BEATS = True
+
+    def __init__(self, log: SparingLog, options: CarOptions = CarOptions(),
+                 on_message: Callable[[Any, Any], None] = lambda message, stamp: None,
+                 on_log: Callable[[int, str], None] = lambda severity, text: None,
+                 on_calibrating: Callable[[bool], None] = lambda on: None,
+                 messages: Iterable[Type[LayoutMessage]] = (), byte_time: float = 10 / 115200,
+                 now: Callable[[], float] = clock) -> None:
+        decoder = wire.Decoder(options.check_plausibility, messages)
+        super().__init__(decoder, log, options.network_silence)
+        self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake(), now)
+        self.heartbeats = Heartbeats(options.heartbeat_rate)
+        self.calibration: Optional[Calibration] = None
+        self._options = options
+        self._on = _Handlers(on_message, on_log, on_calibrating)
+        self._motions: Dict[int, Motion] = {}      # by type
+        self.add_motion(wire.SpeedCommand(0))
+        self._line = LineTime(byte_time)
+        self._is_cut = True                  # the latest packet may have been sent in part
+        self._board_lines = Allowance(*_BOARD_LINES)
+
+    # -- motions --------------------------------------------------------------------------
+
+    def add_motion(self, zero: LayoutMessage) -> None:
+        """What this message ends is a motion: a row that moves something."""
+        with self.lock:
+            self._motions[zero.TYPE] = Motion(zero, self._options.speed_timeout)
+
+    def remove_motion(self, zero: LayoutMessage, now: float) -> List[Packet]:
+        """Undo `add_motion`; return what ends the motion, if the board has it."""
+        motion = self._motions.pop(zero.TYPE, None)
+        if motion is None or motion.is_unknown or self.calibration:
+            return []
+        return self._packets([zero], now)
+
+    def _moves(self, message: Any) -> bool:
+        """Whether it may make the board move something; of a custom command nobody knows."""
+        return not isinstance(message, _STILL) and not self._is_zero(message)
+
+    def _is_zero(self, message: Any) -> bool:
+        motion = self._motions.get(message.TYPE)
+        return motion is not None and motion.zero == message
+
+    def _known(self) -> Iterator[Motion]:
+        """The motions that the board is known to have."""
+        for motion in self._motions.values():
+            if not motion.zero.ANNOUNCED or self.announcement.is_current:
+                yield motion
+
+    # -- what is sent; the lock is held -----------------------------------------------------
+
+    def submit(self, request: Any, now: float) -> List[Packet]:
+        """Take a message."""
+        reason = request.implausible()
+        try:
+            wire.encode(request)     # before any log line quotes a text that is too long
+        except ValueError as error:
+            reason = str(error)
+        if reason:
+            raise Refused(reason, 'value')
+        calibrates = isinstance(request, wire.ImuCalibration)
+        if request.ANNOUNCED:
+            self.announcement.refuse_unless_current(f'{request}')
+        if self.calibration:
+            raise Refused(_CALIBRATES, 'calibrating')
+        if self.is_stopped and self._moves(request):
+            raise Refused(STOPPED, 'stopped')
+        if self._line.waiting(now) > _LONGEST_BURST:
+            raise Refused('the line has not sent the commands before it', 'busy')
+        zeros = [motion.zero for motion in self._known() if calibrates and motion.moves]
+        return self._packets([*zeros, request], now)
+
+    def may_be_old(self, request: Any) -> bool:
+        return self._is_zero(request) or isinstance(request, SettingMessage)
+
+    def beat(self, now: float) -> Tuple[List[Packet], float]:
+        messages: List[Any] = []
+        # The board reads nothing while it calibrates. But if IMU data is still received, the line
+        # may have lost the request to calibrate and the zeros before it.
+        calibration = self.calibration      # the link's thread may set it to None
+        reads = calibration is None or calibration.data_goes_on(now)
+        for motion in self._known():
+            why = motion.due(now, reads)
+            if why:
+                messages.append(motion.zero)
+            if why is Stop.TIMED_OUT:
+                self.log.warn(f'timeout {motion.zero.LABEL}', f'no {motion.zero.LABEL} command for '
+                              f'{self._options.speed_timeout:g} s: sent its zero')
+        if self.heartbeats.is_due(now):
+            messages.append(_HEARTBEAT)
+        return self._packets(messages, now), min(self.heartbeats.due, now + _LONGEST_SLEEP)
+
+    def due(self, now: float, is_drained: bool) -> Tuple[List[Packet], Optional[float]]:
+        self.idle(now)
+        if self.calibration:
+            return [], None
+        messages: List[Any] = []
+        due = self.board_settings.send(now, messages.append, self.announcement.is_current)
+        return self._packets(messages, now), due
+
+    def stop(self, now: float, why: str = '') -> Tuple[List[Packet], str]:
+        for motion in self._motions.values():
+            motion.forget()       # so its zero is repeated
+        if self.calibration and not why:
+            return [], ''         # the zeros were sent before it, and the board reads nothing
+        return self._packets([motion.zero for motion in self._known()], now), ''
+
+    def _packets(self, messages: List[Any], now: float) -> List[Packet]:
+        """Their packets, and before them the zeros of motions that are not known."""
+        packets: List[Packet] = []
+        ended = [message.TYPE for message in messages if self._is_zero(message)]
+        first = [motion.zero for motion in self._known()
+                 if motion.is_unknown and motion.zero.TYPE not in ended] if messages else []
+        for message in first + messages:
+            data = message.pack()
+            # A heartbeat goes before what would delay the next one too much.
+            if not (message is _HEARTBEAT or self._is_zero(message)) \
+                    and self._line.delays_heartbeat(len(data) + _OVERHEAD, now) \
+                    and not self.heartbeats.is_overdue(now):
+                packets.append(self._packet(_HEARTBEAT, b'', not packets))
+            packets.append(self._packet(message, data, not packets))
+        return packets
+
+    def _packet(self, message: Any, data: bytes, is_first: bool) -> Packet:
+        # After a packet that was cut off, a 0x00 ends the part that the board has received.
+        begin = b'\0' if self._is_cut and is_first else b''
+        return Packet(begin + wire.encode_raw(message.TYPE, data), message.TYPE, 0, data, message)
+
+    def sent(self, packet: Packet, now: float) -> None:
+        message = packet.message
+        self._is_cut = False
+        self._line.wrote(len(packet.frame), now)
+        if message is _HEARTBEAT:
+            self._line.wrote_heartbeat()
+            self.heartbeats.count(now)
+        elif packet.type in self._motions:
+            self._motions[packet.type].sent(message, now)
+        elif isinstance(message, wire.ImuCalibration):
+            self.calibration = Calibration(self._options.calibration_timeout, now)
+            self._on.calibrating(True)
+
+    def not_sent(self, packet: Packet, why: str) -> None:
+        if self._is_zero(packet.message):
+            self._motions[packet.type].forget()
+
+    # -- what happens -----------------------------------------------------------------------
+
+    def begin(self, now: float, is_opening: bool) -> None:
+        for motion in self._motions.values():
+            motion.forget()
+        self.board_settings.reset()
+        self.heartbeats.begin(now)
+        self.dropped()
+        if self.calibration:
+            self.calibration.watch_again(now)
+
+    def dropped(self) -> None:
+        self._line.restart()
+        self._is_cut = True
+
+    def end(self, why: str, now: float) -> None:
+        for motion in self._motions.values():
+            if motion.moves:
+                self.log.warn('moved', f'the port closed while the board may have been moving: '
+                              f'{motion.zero} is sent first when it is open again')
+            motion.forget()         # any thread may be the first to write when it is open again
+        self.dropped()
+        self.heartbeats.begin(None)
+        self.board_settings.closed()
+
+    def received(self, frame: Frame, now: float) -> None:
+        message = frame.message
+        if isinstance(message, wire.Log):
+            if self._board_lines.take(now):
+                self._on.log(message.severity, message.text)
+            else:
+                self.log.warn('chatter', 'the board logs too much (over {} lines at once or {:g} a '
+                              'second): some lines are left out'.format(*_BOARD_LINES))
+        elif isinstance(message, Chunk):
+            self.announcement.add(message)
+        elif isinstance(message, SettingMessage):
+            self.board_settings.received(message, self.announcement.is_current)
+        elif not isinstance(message, wire.Time):
+            if self.calibration and isinstance(message, wire.Imu):
+                self._end_calibration(self.calibration.imu_data(now))
+            if not self.announcement.holds_back(message):
+                self._on.message(message, frame.stamp)
+
+    def idle(self, now: float) -> Optional[float]:
+        if self.calibration:
+            self._end_calibration(self.calibration.check_timeout(now))
+        return None
+
+    def was_reset(self) -> None:
+        self._end_calibration(End.RESET)
+
+    def _end_calibration(self, end: Optional[End]) -> None:
+        """End the calibration, if there is one, for this reason; None: it is not over."""
+        if end is None or not self.calibration:
+            return
+        self.calibration = None
+        if end in (End.BACK, End.RESET):
+            self.log.info('calibrated', end.value)
+        else:
+            self.log.warn('not calibrated', end.value.format(self._options.calibration_timeout))
+        self._on.calibrating(False)
+
+    # -- what it looks like -------------------------------------------------------------------
+
+    def reads(self, now: float) -> bool:
+        return self.calibration is None
+
+    def under_way(self, is_reset: bool = False) -> str:
+        return _CALIBRATES if self.calibration and not is_reset else ''
+
+    def longest_silence(self) -> float:
+        return 0.0 if self.calibration else super().longest_silence()
+
+    def talks(self, now: float) -> Optional[bool]:
+        return None if self.calibration else super().talks(now)     # then it is silent for minutes
+
+    def condition(self, now: float) -> Condition:
+        found = super().condition(now)
+        gap = self.heartbeats.recent_gap(now)
+        if self.calibration:
+            return Condition(WARN if found.level else OK, 'calibrating', 'calibrating the IMU')
+        if gap <= LONGEST_GAP:
+            return found
+        text = (f'heartbeat gap of {gap * 1e3:.1f} ms: after 30 ms the board stops its motor; see '
+                '"Let the bridge come first" in doc/troubleshooting.md')
+        return Condition(WARN, found.name, text if found.level == OK else
+                         f'{found.summary}; {text}')
+
+    def values(self) -> List[Tuple[str, Any]]:
+        return [('heartbeats sent', self.heartbeats.sent),
+                ('heartbeat gap [ms]', f'{self.heartbeats.shown_gap * 1e3:.2f}'),
+                ('heartbeat max gap [ms]', f'{self.heartbeats.max_gap * 1e3:.2f}'),
+                *self.board_settings.values()]
+
+
+class _Handlers(NamedTuple):
+    """What is told of messages."""
+
+    message: Callable[[Any, Any], None]
+    log: Callable[[int, str], None]
+    calibrating: Callable[[bool], None]

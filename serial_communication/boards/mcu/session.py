@@ -1,0 +1,138 @@
+"""What the sensor board's frames mean: counts lost ones and reports when the board falls silent."""
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
+
+from ...framing.announcement import Chunk
+from ...framing.layout import LayoutMessage
+from ...framing.settings import SettingMessage
+from ...framing.stream import CHECKSUM, IMPLAUSIBLE, LENGTH, Frame
+from ...link.session import Packet, Session
+from ...link.settings import BoardSettings
+from ...link.sparing_log import SparingLog
+from ...transport.pace import clock
+from . import wire
+
+_STATUS_PERIOD = 1.0   # s between two reports of silence
+_DOUBLED = 0.01        # s; the same bytes again within this are one frame, doubled on the line
+
+
+class _Latest(NamedTuple):
+    """The latest message of one TYPE."""
+
+    kind: Optional[Type[LayoutMessage]]
+    seq: int
+    received_at: float
+    silent_at: float     # when its absence is reported next
+
+
+class SensorSession(Session):
+    """The session of one sensor board, to which settings alone are sent.
+
+    Args:
+        timeout: s without a valid frame after which the board counts as silent.
+        on_status: called with the (message, seq, stamp) of each valid frame.
+        on_silence: called once a second with (class, seq, age) for each class of message that the
+            board has sent and no longer sends: the last seq, and the seconds since that message.
+            The class is None until the board has sent a built-in message, and the age counts from
+            the start, or from the latest custom message.
+        messages: classes of custom messages.
+        now: the clock: the watchdog runs from the start, also without a port.
+    """
+
+    NAME = 'mcu'
+    board_settings: BoardSettings
+
+    def __init__(self, log: SparingLog, timeout: float = 1.0,
+                 on_status: Callable[[Any, int, Any], None] = lambda message, seq, stamp: None,
+                 on_silence: Callable[[Optional[Type[LayoutMessage]], int, float], None] =
+                 lambda kind, seq, age: None,
+                 network_silence: float = 5.0, messages: Iterable[Type[LayoutMessage]] = (),
+                 now: Callable[[], float] = clock) -> None:
+        decoder = wire.Decoder(messages)
+        super().__init__(decoder, log, network_silence)
+        self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake(), now)
+        self.checksum_errors = 0        # those before the frame that is delivered
+        self._lost = self._doubled = 0  # frames
+        self._is_silent = True          # no message of any class is received
+        self._timeout = timeout
+        self._on_status, self._on_silence = on_status, on_silence
+        self._last: Optional[Frame] = None      # since the link began anew
+        self._last_at = 0.0                     # when it was received
+        self._seq = 0                           # of the next frame to the board
+        # By TYPE; by None until the board has sent a message.
+        self._latest: Dict[Optional[int], _Latest] = {
+            None: _Latest(None, 0, now(), now() + timeout)}
+
+    def begin(self, now: float, is_opening: bool) -> None:
+        if is_opening:
+            self._last = None
+        self.board_settings.reset()
+
+    def end(self, why: str, now: float) -> None:
+        self.board_settings.closed()
+
+    def received(self, frame: Frame, now: float) -> None:
+        message = frame.message
+        if self._follow_seq(frame, now):
+            return
+        if isinstance(message, Chunk):
+            self.announcement.add(message)
+        elif isinstance(message, SettingMessage):
+            self.board_settings.received(message, self.announcement.is_current)
+        # None: a valid frame of an unknown type
+        elif message is not None and not isinstance(message, wire.Time):
+            self._is_silent = False
+            if frame.type in wire.MESSAGES:
+                self._latest.pop(None, None)
+            elif None in self._latest:      # custom messages have no status of their own
+                self._latest[None] = _Latest(None, 0, now, now + self._timeout)
+            self._latest[frame.type] = _Latest(type(message), frame.number, now,
+                                               now + self._timeout)
+            if not self.announcement.holds_back(message):
+                self._on_status(message, frame.number, frame.stamp)
+
+    def damaged(self, frame: Frame, now: float) -> None:
+        # A status reports the errors before its own frame.
+        self.checksum_errors += frame.cause == CHECKSUM
+        if frame.cause in (LENGTH, IMPLAUSIBLE):     # its CRC matches, so its SEQ counts
+            self._follow_seq(frame, now)
+
+    def _follow_seq(self, frame: Frame, now: float) -> bool:
+        """Count the frames lost before this one; return whether the line has only doubled it, which
+        is counted instead."""
+        last = self._last
+        if last is not None and last.raw == frame.raw and now < self._last_at + _DOUBLED:
+            self._doubled += 1
+            return True
+        if last is not None and last.raw != frame.raw:
+            self._lost += (frame.number - last.number - 1) % 256
+        self._last, self._last_at = frame, now
+        return False
+
+    def due(self, now: float, is_drained: bool) -> Tuple[List[Packet], Optional[float]]:
+        messages: List[SettingMessage] = []
+        due = self.board_settings.send(now, messages.append, self.announcement.is_current)
+        silent_at = self.idle(now)
+        return list(map(self._packet, messages)), silent_at if due is None else min(due, silent_at)
+
+    def _packet(self, message: SettingMessage) -> Packet:
+        data, seq = message.pack(), self._seq
+        self._seq = (seq + 1) % 256
+        return Packet(wire.encode_raw(message.TYPE, seq, data), message.TYPE, seq, data, message)
+
+    def idle(self, now: float) -> float:
+        for type_, (kind, seq, received_at, silent_at) in self._latest.items():
+            if now >= silent_at:
+                self._latest[type_] = _Latest(kind, seq, received_at,
+                                              max(silent_at + _STATUS_PERIOD, now))
+                if all(now >= latest.received_at + self._timeout
+                       for latest in self._latest.values()):
+                    self._is_silent = True
+                self._on_silence(kind, seq, now - received_at)
+        return min(latest.silent_at for latest in self._latest.values())
+
+    def talks(self, now: float) -> bool:
+        return not self._is_silent
+
+    def values(self) -> List[Tuple[str, Any]]:
+        return [('frames lost', self._lost), ('frames doubled', self._doubled),
+                *self.board_settings.values()]
