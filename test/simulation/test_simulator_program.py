@@ -95,4 +95,3 @@ def port_answers(descriptor):
     while len(answer) < 4:
         answer += os.read(descriptor, 100)
     assert answer == bus.encode_reply(bus.Reply(bus.SYNC))
-

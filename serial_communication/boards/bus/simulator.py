@@ -24,7 +24,7 @@ import argparse
 import math
 from collections import deque
 from random import Random
-from typing import Any, Deque, Iterable, NamedTuple, Optional, Tuple
+from typing import Deque, Iterable, NamedTuple, Optional, Tuple
 
 from ...framing.announcement import chunks_of
 from ...framing.stream import CHECKSUM, Frame
