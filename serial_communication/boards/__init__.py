@@ -7,7 +7,7 @@ the simulators need no ROS.
 import importlib
 from typing import Iterable, List, Tuple
 
-from .description import Description, named_twice
+from .description import Description
 
 BOARDS: Tuple[str, ...] = ('bus', 'arduino', 'mcu')
 
@@ -44,14 +44,9 @@ def descriptions(packages: Iterable[str] = ()) -> List[Description]:
     """The boards of this package, in order, and those of other packages.
 
     Raises:
-        BoardError: one cannot be found, or two of this package have a topic or a service of the
-            same name.
+        BoardError: one cannot be found.
     """
-    found = [description(name) for name in BOARDS]
-    twice = named_twice([name for board in found for name in board.names])
-    if twice:
-        raise BoardError(f'two boards name a topic or service {twice}')
-    return found + [description(package) for package in packages]
+    return [description(name) for name in (*BOARDS, *packages)]
 
 
 def find(name: str, packages: Iterable[str] = ()) -> Description:

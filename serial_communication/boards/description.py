@@ -3,14 +3,13 @@
 The `__init__.py` of a board's folder holds it as `DESCRIPTION` and imports only the board's `wire`.
 The modules with the link, ROS and the simulator are imported when they are used.
 """
-import enum
 import importlib
 import math
 from dataclasses import dataclass, field
-from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
-from ..framing.custom_messages import RowError
-from ..framing.settings import KEY
+from ..framing.row_reader import Group
+from ..framing.rows import BOARD, Kind, Row, RowError
 from ..framing.stream import Decoder
 
 BAUD_RANGE = 50, 4000000    # of a port
@@ -29,7 +28,6 @@ class Topic(NamedTuple):
     # The title of its card on the page; '': a card of its own, with plots; None: the page shows it
     # in a card made for it, or not at all.
     card: Optional[str] = ''
-    message: Any = None               # the message class whose values are the fields of the type
 
 
 class Field(NamedTuple):
@@ -53,23 +51,6 @@ class Service(NamedTuple):
     confirm: str = ''                 # what to tell before it is called; '': nothing
 
 
-class CustomRows(NamedTuple):
-    """The rows of parameters that make custom messages or functions."""
-
-    parameter: str               # the board's parameter that holds the rows by name
-    # read(rows, key) makes them of the rows in the parameter `key`, BOARD/parameter by default;
-    # RowError for the first mistake. Each has what CustomMessage has, too: name, key and number.
-    read: Callable[..., List[Any]]
-    prefix: str                  # prefix + the row's name is the name of its topic
-
-
-class Numbering(enum.Enum):
-    """What the `number` of a frame is."""
-
-    NOTHING = 'nothing'
-    FUNCTION = 'function'    # the requested function. The board only replies, once to each request
-
-
 class Heartbeat(NamedTuple):
     """A message that has to be sent at a steady rate."""
 
@@ -79,11 +60,7 @@ class Heartbeat(NamedTuple):
 
 @dataclass(frozen=True)
 class Description:
-    """One board.
-
-    Raises:
-        ValueError: two topics or services have the same name.
-    """
+    """One board."""
 
     name: str       # of its link in logs, diagnostics, serial_msg and parameters
     package: str    # import name of its folder: __name__
@@ -91,14 +68,13 @@ class Description:
     # what the board sends, with these parameters of the board; RowError for a mistake in them.
     decoder: Callable[[bool, Mapping[str, Any]], Decoder]
     title: str = ''    # what it is, for people: model car
-    topics: Tuple[Topic, ...] = ()
+    rows: Tuple[Row, ...] = ()               # that are built in and need no code of their own
+    groups: Tuple[Group, ...] = ()           # the rows that parameters and the board may add
+    topics: Tuple[Topic, ...] = ()           # with code of their own
     services: Tuple[Service, ...] = ()       # that the page offers
-    other_names: Tuple[str, ...] = ()        # of command topics and of other services
-    custom: Optional[CustomRows] = None
-    settings: Optional[CustomRows] = None    # rows of `framing.settings`
+    other_names: Tuple[str, ...] = ()        # of other topics and services
     # Parameters, false by default, that change how bytes are decoded, with their meaning.
     wire_flags: Mapping[str, str] = field(default_factory=dict)
-    numbering: Numbering = Numbering.NOTHING
     heartbeat: Optional[Heartbeat] = None
     baud: int = 115200               # of the port, if its parameters have none: see `baud_of`
     # Bytes that end a frame, are never inside one, and may also separate two frames.
@@ -109,21 +85,44 @@ class Description:
     # A frame that changes nothing, for a board that is silent until it is asked.
     question: bytes = b''
 
-    def __post_init__(self) -> None:
-        twice = named_twice(self.names)
-        if twice:
-            raise ValueError(f'the board {self.name} names two topics or services {twice}')
+    @property
+    def published(self) -> List[Topic]:
+        """All of its topics with data: its own, and those of built-in rows."""
+        return [*self.topics, *(
+            Topic(self.name_of(row), row.ros_type, row.period or None, card=None)
+            for row in self.rows if row.kind is Kind.FROM)]
 
     @property
     def names(self) -> List[str]:
         """The names of its topics and services, relative to the node."""
-        return [*(topic.name for topic in self.topics),
-                *(service.name for service in self.services), *self.other_names]
+        of_rows = [self.name_of(row) for row in self.rows]
+        return [*(topic.name for topic in self.topics), *of_rows, *self.other_names,
+                *(service.name for service in self.services if service.name not in of_rows)]
 
-    def rows_of(self, row: Any) -> Optional[CustomRows]:
+    def name_of(self, row: Row) -> str:
+        """The name of a row's topic, service or parameter, likewise."""
+        return next(group.prefix for group in self.groups if row.kind in group.kinds) + row.name
+
+    def read(self, parameter: str, given: Any) -> List[Any]:
+        """The rows in one of the parameters `groups`; RowError for the first mistake."""
+        group = next(each for each in self.groups if each.parameter == parameter)
+        return group.read(given, f'{self.name}/{parameter}')
+
+    def read_all(self, parameters: Mapping[str, Any]) -> List[Any]:
+        """The rows in all parameters of the board; RowError for the first mistake."""
+        return [row for group in self.groups
+                for row in self.read(group.parameter, parameters.get(group.parameter) or {})]
+
+    def read_announced(self, name: str, given: Any) -> Any:
+        """The row that the board announces by this name; RowError for a mistake."""
+        row, = self.group_of(given).read({name: given}, f'{self.name}/{ANNOUNCED}', BOARD)
+        return row
+
+    def group_of(self, given: Any) -> Group:
         """What a row, as a board announces it, is one of."""
-        is_setting = self.settings and isinstance(row, dict) and KEY in row
-        return self.settings if is_setting else self.custom
+        is_setting = isinstance(given, dict) and 'setting' in given
+        return next((group for group in self.groups
+                     if (Kind.SETTING in group.kinds) == is_setting), self.groups[0])
 
     def baud_of(self, parameters: Mapping[str, Any]) -> int:
         """The rate of the port: `baud` of the board's parameters, else the description's; RowError
@@ -138,8 +137,3 @@ class Description:
     def interface(self) -> Any:
         """The board's class on the ROS side: see `ros.interface.Interface`."""
         return importlib.import_module(self.package + '.ros').INTERFACE
-
-
-def named_twice(names: Sequence[str]) -> str:
-    """The names that are there more than once, as text."""
-    return ' and '.join(sorted({name for name in names if names.count(name) > 1}))

@@ -161,11 +161,6 @@ def read_announcement(text: bytes) -> Announcement:
             why = ' '.join(str(error).split())
             problems.append(readable(f'line {number} of the announcement is left out: '
                                      f'{brief(line, 60)}: {why[:120]}'))
-    words = ''.join(text.decode('utf-8', 'replace').split())
-    if problems and not rows and '\N{REPLACEMENT CHARACTER}' in readable(words):
-        # An AVR reads the text from program memory; without PROGMEM it is in the RAM.
-        problems = [f'the announcement is no text: {brief(text, 60)}: PROGMEM missing in the '
-                    'sketch?']
     return Announcement(firmware, rows, problems)
 
 
@@ -194,15 +189,6 @@ def _texts(value: Any) -> Iterator[str]:
             yield from _texts(each)
 
 
-def _on_one_line(value: Any) -> Any:
-    """The row without control characters in its texts: a text of a file may have several lines."""
-    if isinstance(value, str):
-        return value if value == readable(value) else readable(' '.join(value.split()))
-    if isinstance(value, dict):
-        return {key: _on_one_line(each) for key, each in value.items()}
-    return [_on_one_line(each) for each in value] if isinstance(value, (list, tuple)) else value
-
-
 def write_announcement(rows: Dict[str, Any], firmware: str = '') -> bytes:
     """The text that announces these rows, as `read_announcement` reads it.
 
@@ -214,7 +200,7 @@ def write_announcement(rows: Dict[str, Any], firmware: str = '') -> bytes:
     dumper = type('Dumper', (yaml.SafeDumper,), {'ignore_aliases': lambda self, data: True})
     lines = [f'firmware: {firmware}'] if firmware else []
     for name, row in rows.items():
-        flow = yaml.dump({name: _on_one_line(row)}, Dumper=dumper, default_flow_style=True,
+        flow = yaml.dump({name: row}, Dumper=dumper, default_flow_style=True,
                          sort_keys=False, width=float('inf'), allow_unicode=True)
         lines.append(flow.strip()[1:-1])       # without the braces of the group
     text = ''.join(line + '\n' for line in lines).encode()

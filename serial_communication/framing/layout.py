@@ -7,7 +7,6 @@ custom messages.
 import re
 import struct
 from collections import namedtuple
-from contextlib import suppress
 from math import inf, isfinite
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
@@ -21,7 +20,7 @@ for _code, _bits in zip('bhilq', (8, 16, 32, 32, 64)):
     _RANGES[_code] = -2 ** (_bits - 1), 2 ** (_bits - 1) - 1
     _RANGES[_code.upper()] = 0, 2 ** _bits - 1
 
-_NEAR = 0.01        # raw steps; a whole raw number that is nearer to a limit stands for it
+_NEAR = 0.01        # raw steps; a whole raw number that is nearer to a limit is at the limit
 
 BOARD_TIME = '@time'          # the name of the value that is the board's time: see `Frame.ticks`
 
@@ -78,20 +77,13 @@ class Value(NamedTuple):
 
     @property
     def limits(self) -> Tuple[float, float]:
-        """The least and the greatest value that is plausible: `minimum` and `maximum`, or what a
-        float32, or the scale, makes of them."""
-        return min(self.made_of(self.minimum)), max(self.made_of(self.maximum))
-
-    def made_of(self, limit: float) -> List[float]:
-        """A limit, and what a float32, and the raw number that stands for it, make of it."""
-        made = [limit]
-        is_float = self.code in FRACTIONS
-        with suppress(OverflowError):      # also if the limit is infinite
-            raw = (limit - self.offset) / self.scale
-            nearest = _rounded(self.code, raw) if is_float else round(raw)
-            made += [value for value in (_rounded('f', limit), nearest * self.scale + self.offset)
-                     if is_float or abs(value - limit) < _NEAR * abs(self.scale)]
-        return made
+        """The least and the greatest value that is plausible: `minimum` and `maximum`, and what a
+        float, or the scale, makes of them."""
+        digits = {'e': 11, 'f': 24, 'd': 24}.get(self.code)     # a ROS field may be a float32
+        slack = [_NEAR * abs(self.scale) if digits is None else
+                 (abs(limit) + abs(self.offset)) * 2.0 ** -digits
+                 for limit in (self.minimum, self.maximum)]
+        return self.minimum - slack[0], self.maximum + slack[1]
 
     def holds(self, raw: float) -> bool:
         """Whether its place can hold exactly this raw number."""
@@ -206,6 +198,13 @@ class Layout:
         if not self._step:
             return f'{self.size}'
         return f'{self.size}, {self.size + self._step}, {self.size + 2 * self._step} …'
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Layout) and (self.layout, self.values) == (
+            other.layout, other.values)
+
+    def __hash__(self) -> int:
+        return hash((self.layout, self.values))
 
     def _unpack(self, data: bytes) -> Tuple:
         """The general `unpack`: the values; struct.error if `data` has the wrong length."""
@@ -339,10 +338,15 @@ def brief(given: Any, most: int) -> str:
     return words if len(words) <= most else words[:most - 1] + '…'
 
 
-def _rounded(code: str, number: float) -> float:
-    """A number as struct's code holds it; OverflowError if it is too great."""
-    rounded: float = struct.unpack('<' + code, struct.pack('<' + code, number))[0]
-    return rounded
+def shortest(number: float) -> float:
+    """The decimal number with the fewest digits that is the same float32 as this number."""
+    wanted = struct.pack('<f', number)
+    number, = struct.unpack('<f', wanted)
+    return next((short for short in (float(f'{number:.{digits}g}') for digits in (6, 7, 8))
+                 if abs(short) < 3.4e38 and struct.pack('<f', short) == wanted), number)
+
+
+EMPTY = Layout('<', ())
 
 
 class LayoutMessage(tuple):

@@ -2,7 +2,8 @@
 import threading
 from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple, Type
 
-from ..framing.settings import Setting, SettingMessage, message_of
+from ..framing.rows import Setting
+from ..framing.settings import SettingMessage, message_of
 from ..transport import pace
 from ..transport.pace import Allowance
 from .outcome import Refused
@@ -11,16 +12,15 @@ from .sparing_log import SparingLog
 _RATE = 5, 15.0            # frames at once, and then a second: never over 20 in one second
 _PAUSES = 0.2, 1.0         # s between two tries: at first, and later
 _TRIES = 5                 # with the first of these pauses
-_STARTING = 4              # tries after these, until a silent board is a warning
+_WARNING = 9               # tries until one warning: the board may be starting at the first ones
 _ANSWERS = 3               # as many tries answered by one other value: the board limits it
 
 
 class _State:
     """One setting."""
 
-    def __init__(self, row: Setting, announced: bool) -> None:
+    def __init__(self, row: Setting) -> None:
         self.row = row
-        self.announced = announced
         self.value: Any = None      # that the board uses; None: not known
         self.wanted: Any = None     # None: the board's own value stands
         self.tried_at = 0.0
@@ -33,7 +33,6 @@ class _State:
         self.due = 0.0
         self.answers = 0            # tries that were answered by `value`
         self.answered = 0           # the number of the latest of them
-        self.is_told = False        # a warning said that it is not confirmed
 
     @property
     def is_settled(self) -> bool:
@@ -73,10 +72,10 @@ class BoardSettings:
         with self._changed:
             return [self._states[name].row for name in sorted(self._states)]
 
-    def add(self, row: Setting, announced: bool = False) -> Callable[[], None]:
+    def add(self, row: Setting) -> Callable[[], None]:
         """Add a row; return what removes it."""
         with self._changed:
-            state = self._states[row.name] = _State(row, announced)
+            state = self._states[row.name] = _State(row)
             self._rows_changed()
         self.want(row.name, self.wanted.get(row.name))
 
@@ -91,7 +90,7 @@ class BoardSettings:
 
     def _rows_changed(self) -> None:
         states = self._states.values()
-        self._by_number = {state.row.setting: state for state in states}
+        self._by_number = {state.row.number: state for state in states}
         self._kind = message_of(state.row for state in states)
         self._use(self._kind)
 
@@ -134,7 +133,7 @@ class BoardSettings:
     # -- for the link's thread ------------------------------------------------------------
 
     def closed(self) -> None:
-        """The port was closed: nothing is known to be in use any more."""
+        """The port was closed: nothing is confirmed any more."""
         with self._changed:
             for state in self._states.values():
                 state.again()
@@ -145,8 +144,7 @@ class BoardSettings:
         with self._changed:
             for state in self._states.values():
                 state.value = None
-                state.again()
-        self.on_change()
+        self.closed()
 
     def received(self, message: SettingMessage, is_current: bool) -> None:
         """The board uses this value.
@@ -156,7 +154,7 @@ class BoardSettings:
         """
         with self._changed:
             state = self._by_number.get(message.number)
-            if state is None or state.announced and not is_current \
+            if state is None or state.row.announced and not is_current \
                     or type(message) is not self._kind:     # decoded before the rows changed
                 return
             value, before, was_settled = message.value, state.value, state.is_settled
@@ -194,7 +192,7 @@ class BoardSettings:
         with self._changed:
             waiting = [state for state in self._states.values()
                        if state.wanted is not None and not state.confirmed
-                       and (is_current or not state.announced)]
+                       and (is_current or not state.row.announced)]
             for state in sorted(waiting, key=lambda state: state.tried_at):
                 if now >= state.due and self._allowance.take(self._clock()):
                     self._try(state, now, write)
@@ -203,22 +201,20 @@ class BoardSettings:
                        default=None)
 
     def _try(self, state: _State, now: float, write: Callable[[SettingMessage], None]) -> None:
-        name = state.row.name
+        state.due = now + _PAUSES[0]
         try:
-            write(self._kind(state.row.setting, state.wanted))
+            write(self._kind(state.row.number, state.wanted))
         except Refused:
-            state.due = now + _PAUSES[0]
             return
         state.tries += 1
         state.tried_at = now
-        state.due = now + _PAUSES[state.tries >= _TRIES]
-        # A board that has reported nothing yet may still be starting.
-        least = _TRIES + (1 if state.value is not None else _STARTING)
-        if state.tries >= least and not state.is_told:
-            state.is_told = True
+        if state.tries >= _TRIES:
+            state.due = now + _PAUSES[1]
+        if state.tries == _WARNING:
             uses = 'is silent about it' if state.value is None else f'uses {state.value}'
-            self._log.warn(f'setting {name}', f'the board has not confirmed {name} = '
-                           f'{state.wanted}, it {uses}; it is sent again each second')
+            self._log.warn(f'setting {state.row.name}', f'the board has not confirmed '
+                           f'{state.row.name} = {state.wanted}, it {uses}; it is sent again each '
+                           'second')
 
     # -- for displays -----------------------------------------------------------------------
 

@@ -50,6 +50,14 @@ class Writer:
             self._admit(request, now, stamp)
             self.transmit(self._session.submit(request, now), now)
 
+    def write(self, decide: Callable[[float], Sequence[Packet]]) -> None:
+        """Write what `decide` returns, with the lock held; if the port is closed nothing is."""
+        with self._session.lock:
+            now = self._now()
+            packets = decide(now)
+            if self._port.is_usable:
+                self.transmit(packets, now)
+
     def _admit(self, request: Any, now: float, stamp: Any) -> None:
         """Raise Refused for a request that the port or a stall does not allow."""
         may_be_old = self._session.may_be_old(request)
@@ -122,8 +130,8 @@ class Writer:
         """Begin anew if bytes wait in a port that sends nothing."""
         if not self.output.is_stuck(self._port.unsent(), now, longest):
             return
+        self.output.stands = True
         if self._session.reads(now):
-            self.output.stands = True
             self.begin_anew('the port takes no data')
         else:
             self._port.renew(keeps_input=True)
@@ -161,9 +169,11 @@ class Writer:
             try:
                 if stall:
                     self.begin_anew(f'the bridge stalled for {stall:.3g} s', keeps_input=True)
-                packets, due = self._session.beat(now)
-                if self._port.is_usable and not self.has_ended:
+                is_usable = self._port.is_usable and not self.has_ended
+                if is_usable:
                     self.check_output(now)
+                packets, due = self._session.beat(now)      # after a doubt zeros come first
+                if is_usable:
                     self.transmit(packets, now)
             except Refused:
                 pass        # the link's thread gets it, too, and logs it

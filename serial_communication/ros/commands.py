@@ -60,7 +60,7 @@ class CommandTopic:
             whether it was latched or not.
     """
 
-    def __init__(self, name: str, message_class: Any, send: Callable[[Any], None],
+    def __init__(self, name: str, message_class: Any, send: Callable[[Any, Any], None],
                  label: Callable[[Any], str], log: SparingLog, age_limit: float,
                  queue_size: int = 10,
                  stops: Callable[[Any], bool] = lambda message: False) -> None:
@@ -93,18 +93,24 @@ class CommandTopic:
                 if self._connections is None:
                     return      # while subscribing: the connection's thread handles it later
                 self._refuse_if_old(message, self._connections)
-                self._send(message)     # before `close` returns
+                self._send(message, self._stamp_of(message))     # before `close` returns
         except Refused as refused:
-            self._log.warn(f'{self._name} refused: {refused.cause}', str(refused))
+            self._log.warn(f'{self._name} refused: {refused.cause}',
+                           f'{self._label(message)} refused: {refused}')
         except ValueError as error:
             self._log.warn(f'{self._name} refused', f'{self._name} refused: {error}')
+
+    @staticmethod
+    def _stamp_of(message: Any) -> Any:
+        """When a message was made; None: it does not say that."""
+        return getattr(getattr(message, 'header', None), 'stamp', None) or None
 
     def _refuse_if_old(self, message: Any, connections: NewestConnections) -> None:
         connection = message._connection_header     # one object for each connection
         sender = connection.get('callerid', '')
         if connections.is_replaced(connection):
-            raise self._refused(message, f'it was received on an old connection of {sender}; only '
-                                f'the newest connection to {self._topic} is used', 'old connection')
+            raise Refused(f'it was received on an old connection of {sender}; only the newest '
+                          f'connection to {self._topic} is used', 'old connection')
         known = sender in self._latest
         is_first = self._latest.pop(sender, None) is not connection
         self._latest[sender] = connection
@@ -115,21 +121,18 @@ class CommandTopic:
         if is_first and connection.get('latching') == '1' \
                 and (known or self._older_publishers is None
                      or sender in self._older_publishers):
-            raise self._refused(
-                message, f'{sender} latches {self._topic} and '
+            raise Refused(
+                f'{sender} latches {self._topic} and '
                 f'{"has connected again" if known else "is older than the subscription"}, so the '
                 'message may be old; publish it again with "rostopic pub -1", or at a rate with '
                 '"rostopic pub -r 10"', 'latched')
         stamp = message.header.stamp.to_sec() if self._age_limit else 0.0
         age = rospy.get_time() - stamp
         if stamp and abs(age) > self._age_limit:
-            raise self._refused(
-                message, f'its stamp is {abs(age):.2f} s {"old" if age > 0 else "in the future"}, '
+            raise Refused(
+                f'its stamp is {abs(age):.2f} s {"old" if age > 0 else "in the future"}, '
                 f'command_age allows {self._age_limit:g} s; is the network from {sender} slow, or '
                 'its clock wrong? The clocks of all hosts must agree (chrony)', 'stamp')
-
-    def _refused(self, message: Any, why: str, cause: str) -> Refused:
-        return Refused(f'{self._label(message)} refused: {why}', cause)
 
 
 def _publishers(topic: str) -> Optional[Set[str]]:

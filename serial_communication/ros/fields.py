@@ -7,14 +7,16 @@ import re
 import struct
 import sys
 from math import isfinite, isinf, isqrt
-from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple,
-                    Union)
+from typing import (Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence,
+                    Tuple, Union)
 
 import roslib.message
+from genpy import SerializationError
+from genpy.message import check_type
 
-from ..framing.custom_messages import RowError
 from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
 from ..framing.rotation import angles, quaternion
+from ..framing.rows import RowError
 
 _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
           'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
@@ -48,12 +50,9 @@ def _found(name: str, kind: str) -> Any:
         return None
     find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
     try:
-        found = find(name)
+        return find(name)
     except (Exception, SystemExit):  # pylint: disable=broad-except
         return None     # the module of that name may be anything
-    return found if getattr(found, '_type', '') == name and (
-        hasattr(found, '_slot_types') if kind == 'msg' else hasattr(found, '_request_class')
-    ) else None
 
 
 class _Place(NamedTuple):
@@ -61,9 +60,23 @@ class _Place(NamedTuple):
 
     owner: Tuple[Union[str, int], ...]     # path to the message or array that has it
     last: Union[str, int]                  # its field name or index there
-    to_ros: Optional[Callable[[Any], Any]]     # converts the value
-    code: str                              # struct's code of its number; '' for a string
-    is_angle: bool = False                 # of a quaternion, which has no such field
+    type: str                              # of ROS
+    array: str                             # '[3]', '[]', or '' if it is none
+    is_angle: bool                         # of a quaternion, which has no such field
+    to_ros: Optional[Callable[[Any], Any]] = None     # converts the value
+
+    @property
+    def code(self) -> str:
+        """Struct's code of its number; '' for a string."""
+        return _ANGLE if self.is_angle else _CODES.get(self.type, '')
+
+    def put(self, message: Any, value: Any) -> None:
+        """Write a value into the message."""
+        holder = _walk(message, self.owner)
+        if isinstance(self.last, int):
+            holder[self.last] = value
+        else:
+            setattr(holder, self.last, value)
 
 
 class RosFields:
@@ -90,22 +103,14 @@ class RosFields:
                 and not message_class._has_header:
             raise RowError(key, BOARD_TIME, f'needs a type with a header, {message_class._type} '
                            'has none')
-        self._places = [self._resolve(key, value) if value.name not in ('', BOARD_TIME) else None
+        self._places = [None if value.name in ('', BOARD_TIME) else self._place(key, value)
                         for value in layout.values]
-        places = {value.name: place for value, place in zip(layout.values, self._places) if place}
-        _refuse_shared(key, places)
-        single: Dict[str, Any] = {}
-        for path, value in (constants or {}).items():
-            elements = self._elements(constants_key, path, value)
-            for shared in single.keys() & elements:
-                raise RowError(constants_key, shared, f'overlaps with {path}')
-            single.update(elements)
-        fixed = {path: self._constant(constants_key, path, value)
-                 for path, value in single.items()}
-        for path in places.keys() & fixed:
-            raise RowError(constants_key, path, 'is in fields, too')
-        _refuse_shared(constants_key, {**places, **fixed})
-        self._constants = [(place, single[path]) for path, place in fixed.items()]
+        taken: Dict[Tuple, str] = {}
+        for value, place in zip(layout.values, self._places):
+            if place:
+                _take(taken, key, value.name, place)
+        self._constants = [each for path, given in (constants or {}).items()
+                           for each in self._constant(constants_key, path, given, taken)]
         # By the path to a quaternion: the indices of the values that are its angles.
         self._angles: Dict[Tuple, Dict[Union[str, int], int]] = {}
         for index, place in enumerate(self._places):
@@ -114,12 +119,11 @@ class RosFields:
         # The values that may be "no value", in fields that cannot be NaN.
         self.without_nan = [
             index for index, (value, place) in enumerate(zip(layout.values, self._places))
-            if place and value.invalid is not None and place.code not in FRACTIONS]
+            if place and value.invalid is not None and place.code not in (*FRACTIONS, _ANGLE)]
 
     def narrowed(self, layout: Layout) -> Layout:
         """Return the layout; there, a value that its field cannot hold is implausible."""
-        codes = [_ANGLE if place and place.is_angle
-                 else '' if not place or _holds_all(place.code, value) else place.code
+        codes = ['' if not place or _holds_all(place.code, value) else place.code
                  for value, place in zip(layout.values, self._places)]
         return _NarrowedLayout(layout, codes) if any(codes) else layout
 
@@ -132,7 +136,7 @@ class RosFields:
             items += [element() for _ in range(size - len(items))]
             setattr(owner, steps[-1], items)
         for place, value in self._constants:
-            _put(message, place, value)
+            place.put(message, value)
         return message
 
     def lacks(self, values: Sequence) -> bool:
@@ -144,7 +148,7 @@ class RosFields:
         """Write the values into a message from `new`, and return it."""
         for place, value in zip(self._places, values):
             if place and not place.is_angle:
-                _put(message, place, place.to_ros(value) if place.to_ros else value)
+                place.put(message, place.to_ros(value) if place.to_ros else value)
         for owner, indices in self._angles.items():
             turn = _walk(message, owner)
             turn.x, turn.y, turn.z, turn.w = quaternion(*[
@@ -171,14 +175,28 @@ class RosFields:
             values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
         return tuple(values)
 
-    def _resolve(self, key: str, value: Value) -> _Place:
+    def _place(self, key: str, value: Value) -> _Place:
         """Return the place of a value; raise RowError if there is none that can hold it."""
-        steps, type_, array, is_angle = self._follow(key, value.name)
-        return self._checked(key, value, steps, type_, array)._replace(is_angle=is_angle)
+        place, path, has, why = self._follow(key, value.name), value.name, value.kind, ''
+        if has == 'text' and (place.type != 'string' or place.array):
+            why = '; a text needs a string'
+        elif has != 'text' and place.type not in _CODES:
+            why = ', which cannot hold a number'
+        elif has == 'array' and place.array != '[]':
+            why = '; the * in the layout needs an array of any length'
+        elif has == 'number' and place.array:
+            why = f'; a single number needs one element, such as {path}[0]'
+        if why:
+            raise RowError(key, path, f'is {place.type}{place.array}{why}')
+        convert: Optional[Callable[[Any], Any]] = None
+        if place.type == 'bool':
+            convert = bool
+        elif has != 'text' and place.type not in ('float32', 'float64') and not value.is_whole:
+            convert = round
+        return place._replace(to_ros=_for_each(convert) if convert and has == 'array' else convert)
 
-    def _follow(self, key: str, path: str) -> Tuple[Tuple, str, str, bool]:
-        """Return the steps of a path; the type at its end, and '[…]' if that is an array; and
-        whether it is an angle of a quaternion."""
+    def _follow(self, key: str, path: str) -> _Place:
+        """Return the place at a path; RowError if there is none."""
         message_class, type_, array, is_angle = self._class, '', '', False
         steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
@@ -198,85 +216,55 @@ class RosFields:
                     'std_msgs/Header' if type_ == 'Header' else type_)
             steps += (name,)
             if element:
-                if not array:
-                    raise RowError(key, path, f'{name} is not an array')
-                most = int(array[1:-1] or _MOST_ELEMENTS)
+                most = int(array[1:-1] or _MOST_ELEMENTS) if array else 0
                 if int(element) >= most:
-                    raise RowError(key, path, f'{name} has elements 0 to {most - 1}')
+                    raise RowError(key, path, f'{name} has elements 0 to {most - 1}' if array else
+                                   f'{name} is not an array')
                 self._arrays.append((steps, int(element) + 1, message_class
                                      or {'string': str, 'bool': bool}.get(type_, int)))
                 steps += (int(element),)
                 array = ''
-        return steps, type_, array, is_angle
+        return _Place(steps[:-1], steps[-1], type_, array, is_angle)
 
-    def _elements(self, key: str, path: str, given: Any) -> Dict[str, Any]:
-        """Return the single constants, by path, that a constant means, which may be a list."""
-        if not isinstance(given, list):
-            return {path: given}
-        _, type_, array, _ = self._follow(key, path)
-        if not array:
-            raise RowError(f'{key}/{path}', given, f'may be one value: {path} is no array')
-        size, every = int(array[1:-1] or len(given)), 1
-        if len(given) != size:
-            every = isqrt(size) + 1      # from one element of the diagonal to the next
-            if len(given) != every - 1 or len(given) ** 2 != size:
-                square = f', or of {every - 1}, its diagonal' * ((every - 1) ** 2 == size)
-                raise RowError(f'{key}/{path}', given, f'may be a list of {size}{square}: '
-                               f'{path} is {type_}{array}')
-        return {f'{path}[{index * every}]': value for index, value in enumerate(given)}
-
-    def _constant(self, key: str, path: str, given: Any) -> _Place:
-        """Return the place of a constant; raise RowError if it cannot hold it."""
-        code = {bool: '?', int: 'q', float: 'd', str: 's'}[type(given)]
-        place = self._resolve(key, Value(path, code=code))
-        if path == 'header.frame_id':
-            raise RowError(f'{key}/{path}', given, 'is set by the key frame_id')
-        if place.is_angle:
-            raise RowError(f'{key}/{path}', given, 'may be in fields only')
-        if '?' in (place.code, code) and place.code != code:
-            raise RowError(f'{key}/{path}', given, 'may be true or false' if place.code == '?'
-                           else 'may be a number')
-        if place.code and (place.to_ros is round or not _holds(place.code, given)):
-            raise RowError(f'{key}/{path}', given, 'is a number that its ROS field cannot hold')
-        return place
-
-    @staticmethod
-    def _checked(key: str, value: Value, steps: Tuple, type_: str, array: str) -> _Place:
-        """Return the place if its type can hold the value; otherwise raise RowError."""
-        path, has = value.name, value.kind
-        why = ''
-        if has == 'text' and (type_ != 'string' or array):
-            why = '; a text needs a string'
-        elif has != 'text' and type_ not in _CODES:
-            why = ', which cannot hold a number'
-        elif has == 'array' and array != '[]':
-            why = '; the * in the layout needs an array of any length'
-        elif has == 'number' and array:
-            why = f'; a single number needs one element, such as {path}[0]'
-        if why:
-            raise RowError(key, path, f'is {type_}{array}{why}')
-        convert: Optional[Callable[[Any], Any]] = None
-        if type_ == 'bool':
-            convert = bool
-        elif has != 'text' and type_ not in ('float32', 'float64') and not value.is_whole:
-            convert = round
-        if convert and has == 'array':
-            convert = _for_each(convert)
-        return _Place(steps[:-1], steps[-1], convert, _CODES.get(type_, ''))
+    def _constant(self, key: str, path: str, given: Any,
+                  taken: Dict[Tuple, str]) -> Iterator[Tuple[_Place, Any]]:
+        """Yield the places of a constant, which may be a list, and their values."""
+        single = {path: given}
+        if isinstance(given, list):
+            place = self._follow(key, path)
+            size, every = int(place.array[1:-1] or len(given)) if place.array else 0, 1
+            if len(given) != size:
+                every = isqrt(size) + 1      # from one element of the diagonal to the next
+                if not given or len(given) != every - 1 or len(given) ** 2 != size:
+                    raise RowError(f'{key}/{path}', given, f'may be a list of {size}, or of the '
+                                   f'diagonal of a matrix: {path} is {place.type}{place.array}'
+                                   if size else f'may be one value: {path} is no array')
+            single = {f'{path}[{index * every}]': value for index, value in enumerate(given)}
+        for name, value in single.items():
+            place = self._follow(key, name)
+            _take(taken, key, name, place)
+            try:
+                if place.is_angle or name == 'header.frame_id':
+                    raise ValueError('a key, or the fields, set it')
+                if (place.type == 'bool') != (type(value) is bool):
+                    raise ValueError(f'{name} is {place.type}')
+                check_type(name, place.type + place.array, value)
+                if place.code:
+                    struct.pack('<' + place.code, value)
+            except (SerializationError, ValueError, OverflowError, struct.error) as error:
+                raise RowError(f'{key}/{name}', value, f'cannot be there: {error}') from None
+            yield place, value
 
 
-def _refuse_shared(key: str, places: Dict[str, _Place]) -> None:
+def _take(taken: Dict[Tuple, str], key: str, path: str, place: _Place) -> None:
     """Raise RowError if a value would overwrite another, as position does with position[0]."""
-    taken = {(*place.owner, place.last): path for path, place in places.items()}
-    for path, place in places.items():
-        steps = (*place.owner, place.last)
-        for end in range(1, len(steps) + 1):
-            other = taken.get(steps[:end], path)
-            if other != path:
-                raise RowError(key, path, f'overlaps with {other}')
-        for angle, turned in places.items():     # it sets all fields of its quaternion
-            if turned.is_angle and place.owner == turned.owner and not place.is_angle:
-                raise RowError(key, path, f'overlaps with {angle}')
+    steps = place.owner if place.is_angle else (*place.owner, place.last)
+    for other, its_path in taken.items():
+        shorter = min(len(steps), len(other))
+        are_angles = place.is_angle and its_path.rpartition('.')[2] in _ANGLES
+        if steps[:shorter] == other[:shorter] and not (are_angles and steps == other):
+            raise RowError(key, path, f'overlaps with {its_path}')
+    taken[steps] = path
 
 
 class _NarrowedLayout(Layout):
@@ -300,8 +288,9 @@ class _NarrowedLayout(Layout):
 
 def _holds_all(code: str, value: Value) -> bool:
     """Return whether a field with struct's `code` ('' for a string) can hold every value."""
-    return code in ('', 'd') or (code == 'f' or value.code not in FRACTIONS) and all(
-        isfinite(end) and _holds(code, end) for end in value.range)
+    return code in ('', 'd') or code != _ANGLE and (
+        code == 'f' or value.code not in FRACTIONS) and all(
+            isfinite(end) and _holds(code, end) for end in value.range)
 
 
 def _holds(code: str, number: float) -> bool:
@@ -320,14 +309,6 @@ def _walk(message: Any, steps: Sequence) -> Any:
     for step in steps:
         message = message[step] if isinstance(step, int) else getattr(message, step)
     return message
-
-
-def _put(message: Any, place: _Place, value: Any) -> None:
-    holder = _walk(message, place.owner)
-    if isinstance(place.last, int):
-        holder[place.last] = value
-    else:
-        setattr(holder, place.last, value)
 
 
 def _for_each(convert: Callable[[Any], Any]) -> Callable[[Iterable], list]:

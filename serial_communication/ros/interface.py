@@ -2,21 +2,32 @@
 import logging
 import operator
 from abc import ABC, abstractmethod
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ..link.link import Link
-from .announced import AnnouncedRows
+from ..link.session import Session
+from ..link.sparing_log import SparingLog
+from ..transport.port import Port
+from .binder import Binder
 from .parameter import Parameters
 
 
 class LinkOptions(NamedTuple):
-    """The arguments of `Link` that the node gives to every link."""
+    """What the node gives to every link."""
 
     frame_timeout: float           # s
     clock: Callable[[], Any]       # returns the rospy.Time that stamps a read
     logger: logging.Logger
     # Returns the stamp so many seconds before a stamp of `clock`.
     earlier: Callable[[Any, float], Any] = operator.sub
+
+    def log(self, name: str) -> SparingLog:
+        """The log of a board's session."""
+        return SparingLog(name, self.logger)
+
+    def link(self, port: Port, session: Session, board_time: bool = True) -> Link:
+        """The link that serves a session."""
+        return Link(port, session, self.frame_timeout, self.clock, self.earlier, board_time)
 
 
 class Interface(ABC):
@@ -29,14 +40,14 @@ class Interface(ABC):
     Args:
         parameters: the checked values of `PARAMETERS`, and of publish_tf, base_frame_id and
             frame_prefix. Frame ids have the prefix already.
-        link_options: arguments for the link.
+        link_options: makes the log and the link.
     """
 
     NAME: str                      # of the link, in logs, diagnostics, serial_msg and parameters
     PARAMETERS: Parameters         # including `port` and `baud`
     MOUNTS: Tuple[str, ...] = ()   # for each sensor x, x_frame_id and x_mount are parameters
     link: Link
-    announced: Optional[AnnouncedRows] = None    # None: no announcements are used
+    binder: Optional[Binder] = None    # None: the board has no rows
 
     @abstractmethod
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
@@ -50,10 +61,5 @@ class Interface(ABC):
         """
         return ''
 
-    @staticmethod
-    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
-        """Return the topics and services that parameters add: (name, the parameter's name)."""
-        return []
-
     def advertise(self) -> None:
-        """Subscribe to commands and offer services; the link has started."""
+        """Offer what needs code of its own; the rows are there."""

@@ -24,7 +24,7 @@ from ..link.sparing_log import SparingLog
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import direct, logs, parameters, starting
-from .announced import forget_announced
+from .binder import forget_announced
 from .diagnostics import Diagnostics, log_fault
 from .geometry import publish_mounts
 from .interface import LinkOptions
@@ -32,8 +32,6 @@ from .latest_worker import LatestWorker
 from .master import full_name, restart, running_node, started_by_roslaunch, watch_master
 from .parameter import ParameterError
 from .settings import PARAMETER as SETTINGS
-from .settings import PAUSE as SETTINGS_PAUSE
-from .settings import serve as serve_settings
 from .settings import wanted_values
 from .stop import Stop
 from .traffic import Traffic
@@ -44,7 +42,7 @@ _PRIORITY = 1               # real-time priority of all threads, if the system a
 _SHUTDOWN = 1.0             # s for all links to end
 _CLOSES = 1.5               # s for a link to close a port that is lent
 _ANSWERED = 0.1             # s for the answers of calls that have ended to leave
-_ANNOUNCEMENT_PAUSE = 1.0   # s: a board may change its announcement all the time
+_WORKER_PAUSE = 0.1         # s: settings, and announcements, may change all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
 _AGAIN = 10.0               # s before it ends, since roslaunch starts it again at once
 _PARAMETERS = 'SERIAL_COMMUNICATION_PARAMETERS'   # environment of a restart: the parameters, JSON
@@ -164,7 +162,7 @@ def _answer(ask: Callable[[], str]) -> Tuple[bool, str]:
 def _accept_all_calls() -> None:
     """Let all calls wait that come during a stall. rospy lets six wait, and the others' callers try
     again seconds later, when a call looks new."""
-    with suppress(AttributeError):      # a private part of rospy
+    with suppress(AttributeError, OSError):     # a private part of rospy; closed as the node ends
         tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(socket.SOMAXCONN)
 
 
@@ -200,14 +198,12 @@ class Bridge:
         self._stop = Stop(self._links, bool(os.environ.pop(_STOPPED, '')))
         self._traffic = Traffic(self._links, _LOGGER)
         self._diagnostics = Diagnostics(self._links, _LOGGER)
-        log = SparingLog('announcements', _LOGGER)
-        self._announcements = LatestWorker('announcements', _ANNOUNCEMENT_PAUSE,
-                                           partial(log_fault, log))
-        announced = [each.announced for each in self._interfaces if each.announced]
-        for rows in announced:
-            rows.serve(self._announcements, names, log, announced)
-        self._settings_worker = LatestWorker('settings', SETTINGS_PAUSE, partial(log_fault, log))
-        serve_settings(self._links, given, self._settings_worker, SparingLog('settings', _LOGGER))
+        self._worker = LatestWorker('rows', _WORKER_PAUSE,
+                                    partial(log_fault, SparingLog('rows', _LOGGER)))
+        binders = [each.binder for each in self._interfaces if each.binder]
+        for binder in binders:
+            binder.serve(self._worker, names, binders,
+                         p[SETTINGS].get(binder.link.name, {}))
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -221,8 +217,7 @@ class Bridge:
             interface.advertise()
             _offer_lending(interface.link)
         _accept_all_calls()
-        self._announcements.start()
-        self._settings_worker.start()
+        self._worker.start()
         self._diagnostics.start()
 
     def stop(self) -> None:

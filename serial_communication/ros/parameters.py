@@ -9,12 +9,13 @@ import rospy
 
 from ..boards import BOARDS, description
 from ..boards.description import ANNOUNCED
-from ..framing.custom_messages import RowError
+from ..framing.rows import RowError
 from ..framing.layout import brief, readable
 from ..transport.urls import identity
 from .interface import Interface
 from .parameter import (RESET_LINE, Parameter, ParameterError, Parameters, frame_id, not_empty,
                         seconds)
+from .rows import rows_in
 from .settings import start_values
 
 _COMMON = 'serial_msg', '~get_loggers', '~set_logger_level', '~stop'     # names of any bridge
@@ -101,7 +102,8 @@ def resolved_names(values: Dict[str, Any], given: Dict[str, Any]) -> Dict[str, s
     names = {rospy.resolve_name(name): name for name in _COMMON}
     for board, package in zip(values['boards'], (*BOARDS, *given.get('boards', ()))):
         own = of_board(board, values)
-        named = [(name, name) for name in description(package).names] + board.custom_names(own)
+        named = [*((name, name) for name in description(package).names),
+                 *((each.name, each.row.key) for each in rows_in(own))]
         for name, user in named if own['port'] else ():
             full = rospy.resolve_name(name)
             if full in names:

@@ -6,28 +6,46 @@ its lock. So this module has the topics and the service of one, with dynamic_rec
 from functools import partial
 from math import inf
 from types import SimpleNamespace
-from typing import Any, Dict, Iterable, List, Optional, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
 
 import rospy
+from dynamic_reconfigure.encoding import encode_config, encode_description, get_tree
+from dynamic_reconfigure.msg import Config, ConfigDescription
+from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
 from ..framing.layout import FRACTIONS
-from ..framing.settings import Setting
+from ..framing.rows import Setting
 from ..link.link import Link
 from ..link.sparing_log import SparingLog
-from .announced import for_xml_rpc
 from .latest_worker import LatestWorker
 from .parameter import ParameterError
 
-try:
-    from dynamic_reconfigure.encoding import encode_config, encode_description, get_tree
-    from dynamic_reconfigure.msg import Config, ConfigDescription
-    from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
-except ImportError:
-    Config = Reconfigure = None
-
 PARAMETER = 'settings'     # of the node: values by link and name
 _ANSWER = 0.48             # s that a call waits for the board
-PAUSE = 0.1               # s between two updates
+_XML_RPC = 2 ** 31         # the parameter server takes no greater integer
+
+
+def set_parameter(name: str, value: Any, log: SparingLog, worker: LatestWorker,
+                  again: Callable[[], None]) -> bool:
+    """Set a parameter; if that fails, have the worker call `again`. Return whether it is set."""
+    try:
+        rospy.set_param(name, for_xml_rpc(value))
+        return True
+    except Exception as error:  # pylint: disable=broad-except
+        # rospy passes on what its master, or another server at its address, answers.
+        if not rospy.is_shutdown():
+            log.warn('parameter', f'the parameter {name} cannot be set now ({error}); trying again')
+            worker.submit(again)
+        return False
+
+
+def for_xml_rpc(value: Any) -> Any:
+    """Return the value with floats for the integers that XML-RPC cannot carry."""
+    if isinstance(value, dict):
+        return {key: for_xml_rpc(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [for_xml_rpc(each) for each in value]
+    return float(value) if type(value) is int and not -_XML_RPC <= value < _XML_RPC else value
 
 
 def start_values(given: Any) -> Dict[str, Dict[str, Any]]:
@@ -40,38 +58,6 @@ def start_values(given: Any) -> Dict[str, Dict[str, Any]]:
     return given
 
 
-def serve(links: Iterable[Link], parameters: Dict[str, Any], worker: LatestWorker,
-          log: SparingLog) -> None:
-    """Give the links the values that are wanted at the start, and serve their settings.
-
-    Args:
-        parameters: the node's private parameters.
-        worker: calls the master.
-
-    Raises:
-        ParameterError: a value that its row does not allow.
-    """
-    for link in links:
-        settings, values = link.session.board_settings, parameters.get(PARAMETER, {}).get(
-            link.name, {})
-        if settings is None:
-            continue
-        for row in settings.rows:
-            try:
-                row.checked(values.get(row.name, row.default))
-            except ValueError as error:
-                name = rospy.resolve_name(f'~{PARAMETER}/{link.name}/{row.name}')
-                value = values[row.name]
-                raise ParameterError(f'parameter {name} is {value!r} ({type(value).__name__}), '
-                                     f'{error}') from None
-        settings.wanted.update(values)
-        for row in settings.rows:
-            settings.want(row.name, values.get(row.name))
-        server = SettingsServer(link, values, log)
-        settings.on_change = partial(worker.submit, server.update)
-        settings.on_change()
-
-
 def wanted_values(links: Iterable[Link]) -> Dict[str, Dict[str, Any]]:
     """Return the values that are wanted now, as `start_values`."""
     return {link.name: for_xml_rpc(dict(link.session.board_settings.wanted)) for link in links
@@ -82,28 +68,38 @@ class SettingsServer:
     """The settings of one link.
 
     Args:
-        values: that the parameter server has, by name.
+        rows: that are there at the start.
+        values: that are wanted at the start, and that the parameter server has, by name.
+        worker: calls the master.
+
+    Raises:
+        ParameterError: a value that its row does not allow.
     """
 
-    def __init__(self, link: Link, values: Dict[str, Any], log: SparingLog) -> None:
+    def __init__(self, link: Link, rows: Iterable[Setting], values: Dict[str, Any],
+                 worker: LatestWorker) -> None:
+        for row in rows:
+            value = values.get(row.name, row.default)
+            try:
+                row.checked(value)
+            except ValueError as error:
+                name = rospy.resolve_name(f'~{PARAMETER}/{link.name}/{row.name}')
+                raise ParameterError(f'parameter {name} is {value!r} ({type(value).__name__}), '
+                                     f'{error}') from None
         self._link = link
         self._settings: Any = link.session.board_settings
+        self._settings.wanted.update(values)
         self._set_values = dict(values)     # that the parameter server has
-        self._log = log
+        self._worker = worker
         self._name = f'~{PARAMETER}/{link.name}'
         self._server: Optional[Tuple[rospy.Publisher, rospy.Publisher, rospy.Service]] = None
         self._published: List[Any] = [None, None]     # the latest description and values
-        self._is_told = False     # that dynamic_reconfigure is missing
+        self._settings.on_change = partial(worker.submit, self.update)
 
     def update(self) -> None:
         """Publish what has changed, and set the parameters; in the worker's thread."""
         rows = self._settings.rows
-        if rows and Config is None:
-            if not self._is_told:
-                self._is_told = True
-                self._log.always_warn('dynamic_reconfigure is not installed: settings can only be '
-                                      f'set by the parameters {self._name}/NAME at the start')
-        elif rows:
+        if rows:
             self._publish(rows)
         elif self._server:
             descriptions, updates, service = self._server
@@ -111,7 +107,11 @@ class SettingsServer:
             service.shutdown()
             descriptions.unregister()
             updates.unregister()
-        self._set_parameters()
+        # For the next start:
+        for name, (_, wanted, _) in self._settings.shown().items():
+            if wanted is not None and wanted != self._set_values.get(name) and set_parameter(
+                    f'{self._name}/{name}', wanted, self._link.log, self._worker, self.update):
+                self._set_values[name] = wanted
 
     def _publish(self, rows: List[Setting]) -> None:
         if self._server is None:
@@ -126,19 +126,6 @@ class SettingsServer:
             if message != self._published[index]:
                 self._published[index] = message
                 topic.publish(message)
-
-    def _set_parameters(self) -> None:
-        """Set the wanted values on the parameter server, for the next start."""
-        for name, (_, wanted, _) in self._settings.shown().items():
-            if wanted is None or wanted == self._set_values.get(name):
-                continue
-            try:
-                rospy.set_param(f'{self._name}/{name}', for_xml_rpc(wanted))
-                self._set_values[name] = wanted
-            except Exception as error:  # pylint: disable=broad-except
-                # rospy passes on what its master, or another server at its address, answers.
-                self._log.warn('parameter', f'the parameter {self._name}/{name} cannot be set now '
-                               f'({error}); it is set with the next change, or at a new master')
 
     def _set(self, request: Any) -> Any:
         """Want the values of a request; return those that the board uses then."""

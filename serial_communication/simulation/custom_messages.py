@@ -10,9 +10,9 @@ from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
 from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
 from ..framing.announcement import chunks_of, write_announcement
-from ..framing.custom_messages import CustomMessage
 from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
-from ..framing.settings import Setting, SettingMessage, message_of
+from ..framing.rows import Kind, Row, Setting
+from ..framing.settings import SettingMessage, message_of
 from ..transport.pace import Every
 
 PERIOD = 0.1      # s between two messages of a kind
@@ -25,7 +25,7 @@ _NO_VALUE_FOR = 1.0    # s of each period
 
 
 class Configured(list):
-    """The custom messages of a board in a configuration, and its `settings`.
+    """The rows of a board in a configuration, without its settings, which are in `settings`.
 
     Args:
         parameters: the board's.
@@ -36,11 +36,12 @@ class Configured(list):
 
     def __init__(self, board: Description, parameters: Mapping[str, Any]) -> None:
         self.baud = board.baud_of(parameters)
-        self.rows = board.custom and parameters.get(board.custom.parameter) or {}
-        super().__init__(board.custom.read(self.rows) if board.custom else ())
-        settings = board.settings and parameters.get(board.settings.parameter) or {}
-        self.settings = board.settings.read(settings) if board.settings else []
-        self.rows = {**self.rows, **settings}      # that the board announces
+        rows = board.read_all(parameters)
+        super().__init__(row for row in rows if row.kind is not Kind.SETTING)
+        self.settings = [row for row in rows if row.kind is Kind.SETTING]
+        self.given: Dict[str, Any] = {}      # that the board announces
+        for group in board.groups:
+            self.given.update(parameters.get(group.parameter) or {})
 
 
 def add_options(parser: argparse.ArgumentParser, board: Description) -> None:
@@ -51,11 +52,11 @@ def add_options(parser: argparse.ArgumentParser, board: Description) -> None:
         except (OSError, ValueError) as error:
             raise argparse.ArgumentTypeError(f'{path}: {error}') from None
 
-    rows = f'; the board has the custom messages in {board.name}/{board.custom.parameter}' \
-        if board.custom else ''
+    rows = f'; the board has the custom messages in {board.name}/{board.groups[0].parameter}' \
+        if board.groups else ''
     parser.add_argument('--config', type=read, default=Configured(board, {}), metavar='FILE',
                         help=f"parameters of the bridge, for the port's rate{rows}")
-    if board.custom:
+    if board.groups:
         parser.add_argument('--announce', action='store_true',
                             help='announce them to the bridge, which then needs no such file')
 
@@ -66,7 +67,7 @@ def announced_text(board: str, config: Configured) -> bytes:
     Raises:
         ValueError: the rows cannot be announced.
     """
-    return write_announcement(config.rows, f'simulated_{board} 1.0')
+    return write_announcement(config.given, f'simulated_{board} 1.0')
 
 
 class CustomMessagePlayer:
@@ -80,12 +81,12 @@ class CustomMessagePlayer:
         settings: that the board has.
     """
 
-    def __init__(self, messages: Iterable[CustomMessage], announcement: Optional[bytes] = None,
+    def __init__(self, messages: Iterable[Row], announcement: Optional[bytes] = None,
                  settings: Sequence[Setting] = ()) -> None:
         self.settings: Dict[int, Any] = {}      # their values, by number
-        self._rows = {row.setting: row for row in settings}
+        self._rows = {row.number: row for row in settings}
         self.setting_kind = message_of(settings)
-        self._kinds = [custom.kind for custom in messages if not custom.is_command]
+        self._kinds = [row.message for row in messages if row.kind is Kind.FROM]
         self._beat = Every(PERIOD, 0.0)
         self._chunks = [] if announcement is None else chunks_of(announcement, CHUNK)
         self._next = 0             # index of the next chunk
@@ -139,8 +140,8 @@ class CustomMessagePlayer:
         row = self._rows.get(message.number)
         if row is None:
             return []
-        self.settings[row.setting] = row.checked(min(max(message.value, row.minimum), row.maximum))
-        return [self._report(row.setting)]
+        self.settings[row.number] = row.checked(min(max(message.value, row.minimum), row.maximum))
+        return [self._report(row.number)]
 
     def _report(self, number: int) -> SettingMessage:
         return self.setting_kind(number, self.settings[number])

@@ -14,7 +14,7 @@ from typing import Any, Dict, List
 from lines import Pty
 from waiting import until
 from serial_communication.boards.arduino import wire
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.framing.board_time import WINDOW
 from serial_communication.transport.port import Port
 from .child import serve, sleep_until

@@ -3,10 +3,10 @@ import pytest
 
 from steps import Bus, Steps
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.boards.arduino.session import CarOptions
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.functions import read_functions
+from board_rows import functions
 from serial_communication.framing.layout import Value, message_class
 from serial_communication.link.session import WARN, Refused
 from serial_communication.link.outcome import NOT_SENT
@@ -33,7 +33,7 @@ def condition(link):
 @pytest.fixture
 def car(logger):
     steps = Steps(ArduinoLink, CarOptions(speed_timeout=0.0), logger=logger)
-    steps.link.add_motion(ZERO)
+    steps.link.session.add_motion(ZERO)
     return steps
 
 
@@ -48,7 +48,8 @@ def test_zeros_are_sent_and_what_moves_is_refused_until_it_is_released(car):
     car.run(0.5)
     assert all(car.port.wrote.count(zero) >= 4 for zero in zeros), 'the line may lose one'
     for command in (lambda: link.set_speed(1), lambda: link.command(Drive(0, 1)),
-                    lambda: link.command(Horn(0)), link.calibrate_imu):
+                    lambda: link.command(Horn(0)),
+                    lambda: link.command(arduino.ImuCalibration())):
         with pytest.raises(Refused, match=STOPPED) as refused:
             command()
         assert refused.value.cause == 'stopped'
@@ -97,7 +98,7 @@ def test_a_move_that_cannot_be_interrupted_is_told_and_one_that_waits_is_not_sen
 
 def test_functions_that_interrupt_are_called_at_once(logger):
     board = Bus(logger=logger).run(1.0)
-    halt, = read_functions({'halt': HALT_KEYS})
+    halt, = functions({'halt': HALT_KEYS})
     request = halt.make_request(())
     board.link.session.stops.append((request, halt))
     board.rule = lambda request: b'' if request == bus.lift(1, 100) else None

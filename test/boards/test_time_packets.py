@@ -1,10 +1,10 @@
 """The board's time on the wire: which packets TIME is for, and rows that bring their own."""
 import pytest
 
-from serial_communication.boards.arduino import custom_messages as arduino_messages
-from serial_communication.boards.arduino import settings as arduino_settings
+from board_rows import car_messages as arduino_messages
+from board_rows import car_settings as arduino_settings
+from board_rows import mcu_messages
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.mcu import custom_messages as mcu_messages
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.settings import message_of
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
@@ -113,7 +113,7 @@ def test_an_mcu_time_is_for_no_frame_behind_an_unknown_or_invalid_one_with_the_n
     row, = mcu_messages({'force': ROW})
     wire = mcu.encode(mcu.Time(7), 5) + b''.join(
         mcu.encode_raw(type_, seq % 256, data) for seq in range(6, 6 + 256))
-    frames = mcu.Decoder(messages=[row.kind]).feed(wire + mcu.encode(ADC, 6))
+    frames = mcu.Decoder(messages=[row.message]).feed(wire + mcu.encode(ADC, 6))
     assert frames[0].ticks == 7 and frames[-1].message == ADC
     assert {(frame.message, frame.cause) for frame in frames[1:-1]} == {(None, cause)}
     assert [frame.ticks for frame in frames[1:]] == [None] * 257
@@ -130,17 +130,17 @@ def test_an_mcu_frame_behind_noise_has_the_time_of_its_seq():
 def test_a_row_with_the_boards_time_uses_no_scale_no_limit_and_no_invalid_for_it(
         read, wire, encode_raw):
     row, = read({'force': ROW})
-    decoder = wire.Decoder(messages=[row.kind])
+    decoder = wire.Decoder(messages=[row.message])
     frame, other = decoder.feed(encode_raw(b'\4\0\7\0\0\0') + encode_raw(b'\5\0\xff\xff\xff\xff'))
     assert (frame.message, frame.ticks) == ((2.0, 7), 7)
     assert (other.message, other.ticks) == ((2.5, 2 ** 32 - 1), 2 ** 32 - 1)
-    assert row.kind(2.5, 2 ** 32 - 1).pack() == b'\5\0\xff\xff\xff\xff'
+    assert row.message(2.5, 2 ** 32 - 1).pack() == b'\5\0\xff\xff\xff\xff'
 
 
 def test_a_row_prefers_its_own_time_and_is_counted():
     row, = arduino_messages({'force': ROW})
     own = arduino.encode_raw(32, b'\4\0\7\0\0\0')
-    assert ticks_of(time(9, 2) + own + TICKS * 2, messages=[row.kind]) == [9, 7, 9, None]
+    assert ticks_of(time(9, 2) + own + TICKS * 2, messages=[row.message]) == [9, 7, 9, None]
 
 
 @pytest.mark.parametrize('decoder, frames', [

@@ -6,16 +6,12 @@ import pytest
 
 from board_ends import OK, car_end, error, master_end
 from emulated_board import FIRMWARE
-from serial_communication.boards.arduino import custom_messages
+from board_rows import car_messages, car_settings, functions, mcu_messages
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.config_file import read_parameters
-from serial_communication.boards.mcu import custom_messages as mcu_messages
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.announcement import (TYPE, Assembly, Chunk,
                                                        read_announcement)
-from serial_communication.framing.custom_messages import meaning
-from serial_communication.framing.settings import read_settings
 
 EXAMPLES = read_parameters(os.path.join(os.path.dirname(FIRMWARE), 'config',
                                         'custom_messages.yaml'))
@@ -76,10 +72,6 @@ def rows_in(text):
     return announcement.firmware, announcement.rows
 
 
-def meanings(customs):
-    return [meaning(custom) for custom in customs]
-
-
 def test_the_car_announces_the_example(firmware_build):
     with car_end(firmware_build, image='nano_car_custom.elf') as car:
         car.board.wait_until(lambda: car.read(TYPE), 1)
@@ -89,10 +81,10 @@ def test_the_car_announces_the_example(firmware_build):
         firmware, rows = rows_in(text)
         assert firmware == 'nano_car 1.3.0'
         settings = {name: rows.pop(name) for name, row in list(rows.items()) if 'setting' in row}
-        assert [row.name for row in read_settings(settings, 'rows')] == [
+        assert [row.name for row in car_settings(settings)] == [
             'imu_rate', 'motor_ramp', 'steering_range']
         named = {name: EXAMPLES['arduino']['messages'][name] for name in ('force', 'gripper')}
-        assert meanings(custom_messages(rows)) == meanings(custom_messages(named))
+        assert car_messages(rows) == car_messages(named)
 
 
 def test_the_control_board_announces_the_example(firmware_build):
@@ -109,7 +101,7 @@ def test_the_control_board_announces_the_example(firmware_build):
         firmware, rows = rows_in(text)
         assert firmware == 'ctrl_board 1.3.0'
         named = {name: EXAMPLES['bus']['functions'][name] for name in ('pump', 'halt', 'tank')}
-        assert meanings(read_functions(rows)) == meanings(read_functions(named))
+        assert functions(rows) == functions(named)
 
 
 def test_without_custom_messages_the_bus_board_announces_nothing(bus):
@@ -126,5 +118,5 @@ def test_the_rows_of_the_examples_are_valid(example):
     text = ''.join(re.findall(r'"(.*)"', literal)).replace('\\n', '\n')
     firmware, rows = rows_in(text.encode())
     assert firmware.endswith(' 1.0')
-    read = {'Sensor': mcu_messages, 'Slave': read_functions}.get(example, custom_messages)
+    read = {'Sensor': mcu_messages, 'Slave': functions}.get(example, car_messages)
     assert len(read(rows)) == text.count('\n') - 1

@@ -6,6 +6,7 @@ import struct
 
 import pytest
 from by_definition import ANNOUNCEMENT, arduino_at, mcu_at, mcu_frame
+from board_rows import car_settings
 from waiting import again_if_stalled
 
 from board_ends import (
@@ -13,7 +14,6 @@ from board_ends import (
 from compilers import ON_THE_AVR, PROTOCOL, run
 from emulated_board import FIRMWARE
 from serial_communication.framing.announcement import read_announcement
-from serial_communication.framing.settings import read_settings
 from wheel import hold, set_to, target
 
 NUMBERS = [1, 2, 3, 4, 5, 200]      # those of library_cases.cpp, in the order of their table
@@ -32,8 +32,8 @@ def reports(packets):
 def test_the_rows_of_a_list_have_what_the_sketch_has(library_case):
     announcement = read_announcement(library_case('print_setting_rows').encode())
     assert announcement.problems == []
-    read = {row.name: (row.setting, row.code, row.minimum, row.maximum, row.unit, row.description)
-            for row in read_settings(announcement.rows, 'rows')}
+    read = {row.name: (row.number, row.code, row.minimum, row.maximum, row.unit, row.description)
+            for row in car_settings(announcement.rows)}
     assert read == {
         'gain': (1, 'f', 0, 10, '1/s', 'a gain'), 'period': (2, 'H', 5, 60000, 'ms', 'a period'),
         'inverted': (3, '?', 0, 1, '', 'whether it turns the other way'),
@@ -54,7 +54,7 @@ def test_the_rows_of_a_sketch_are_valid(sketch, tmp_path):
     announcement = read_announcement(ast.literal_eval(f'({literal})').encode())
     assert announcement.problems == [] and announcement.firmware
     settings = {name: row for name, row in announcement.rows.items() if 'setting' in row}
-    read = read_settings(settings, 'rows')
+    read = car_settings(settings)
     assert len(read) >= 2 and all(row.unit and row.description for row in read)
 
 

@@ -173,10 +173,6 @@ def test_a_line_that_is_no_row_is_left_out_with_one_line(line, why):
     assert found.rows == {'force': FORCE, 'level': {'type': 5}}
 
 
-# What an AVR announces without PROGMEM: instructions instead of the text.
-PROGRAM = bytes.fromhex('0c945c000c946e000c946e00 0a 0c946e00cfef 0a d8e0debfcdbf11e0a0e0b1e0')
-
-
 def test_there_are_at_most_16_rows():
     found = read_announcement(b''.join(b'r%d: {}\n' % number for number in range(400)))
     assert list(found.rows) == [f'r{number}' for number in range(16)]

@@ -9,15 +9,18 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
-from serial_communication.boards.arduino import custom_messages as arduino_messages
-from serial_communication.boards.bus.functions import read_functions as bus_functions
-from serial_communication.boards.mcu import custom_messages as mcu_messages
-from serial_communication.framing.custom_messages import RowError, meaning
+from board_rows import car_messages as arduino_messages
+from board_rows import functions as bus_functions
+from board_rows import mcu_messages
+from serial_communication.framing.rows import Kind, RowError
 
 FORCE = {'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data'],
          'scale': 0.01, 'minimum': 0, 'maximum': 300}
 PUMP = {'cmd2': 48, 'srv_type': 'std_srvs/SetBool',
         'request': {'layout': '<?', 'fields': ['data']}}
+
+DRIVE = {'type': 40, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Twist', 'layout': '<hh',
+         'fields': ['linear.x', 'angular.z'], 'scale': 0.001}
 
 
 def one(row, **changes):
@@ -29,7 +32,7 @@ def one(row, **changes):
 
 def message(layout, fields, **changes):
     return one(FORCE, layout=layout, fields=fields, **dict(
-        {'scale': None, 'minimum': None, 'maximum': None}, **changes)).kind
+        {'scale': None, 'minimum': None, 'maximum': None}, **changes)).message
 
 
 def wire(kind, data):
@@ -47,9 +50,9 @@ def received(kind, data):
 
 def test_the_row_of_the_tutorial():
     custom = one(FORCE)
-    assert (custom.name, custom.ros_type, custom.is_command, custom.frame_id) == (
-        'name', 'std_msgs/Float32', False, '')
-    got, errors = received(custom.kind, b'\x39\x30')
+    assert (custom.name, custom.ros_type, custom.kind, custom.frame_id) == (
+        'name', 'std_msgs/Float32', Kind.FROM, '')
+    got, errors = received(custom.message, b'\x39\x30')
     assert got == (pytest.approx(123.45),) and not errors
     assert str(got) == 'name data=123.45'
     assert got.pack() == b'\x39\x30'
@@ -92,7 +95,7 @@ def test_an_empty_field_leaves_a_value_out():
 def test_rows_with_the_same_constants_mean_the_same_though_one_is_no_number():
     rows = [one(dict(FORCE, constants={'current': float('nan'), 'cells': [float('nan'), 1.0],
                                        'voltage': voltage})) for voltage in (5.0, 5.0, 6.0)]
-    assert meaning(rows[0]) == meaning(rows[1]) != meaning(rows[2])
+    assert rows[0] == rows[1] != rows[2]
 
 
 # -- what is refused ------------------------------------------------------------------------------
@@ -190,17 +193,17 @@ def test_any_number_but_0_is_packed_as_true():
 @pytest.mark.parametrize('name', ['class', 'None', 'def', 'print', 'count'])
 def test_any_ros_base_name_may_name_a_message(name):
     custom, = arduino_messages({name: FORCE})
-    got, errors = received(custom.kind, b'\x39\x30')
+    got, errors = received(custom.message, b'\x39\x30')
     assert str(got) == f'{name} data=123.45' and not errors
     assert repr(got).startswith(f'{name}(')
-    assert arduino_messages({'a': dict(FORCE, fields=[name])})[0].kind(1).pack() == b'\x64\0'
+    assert arduino_messages({'a': dict(FORCE, fields=[name])})[0].message(1).pack() == b'\x64\0'
     assert bus_functions({name: PUMP})[0].make_request((1,)).data == b'\1'
 
 
 def test_custom_mcu_frames():
     custom, = mcu_messages({'line': dict(FORCE, type=0x20)})
-    decoder = mcu.Decoder([custom.kind])
-    frame, = decoder.feed(mcu.encode(custom.kind(12.5), 7))
+    decoder = mcu.Decoder([custom.message])
+    frame, = decoder.feed(mcu.encode(custom.message(12.5), 7))
     assert (frame.message, frame.type, frame.number) == ((12.5,), 0x20, 7)
     frames = decoder.feed(mcu.encode_raw(0x20, 8, b'\1') + mcu.encode_raw(0x20, 9, b'\xff\xff'))
     assert [frame.cause for frame in frames] == [LENGTH, IMPLAUSIBLE]
@@ -212,8 +215,8 @@ def test_custom_mcu_frames():
 def test_frames_behind_a_false_len_are_found_though_its_checksum_matches(read):
     """A flipped bit of LEN makes one frame of three, since equal bytes cancel out of an XOR."""
     custom, = mcu_messages({'line': dict(FORCE, type=0x20)})
-    decoder = mcu.Decoder([custom.kind])
-    wire = bytearray(mcu.encode(custom.kind(12.5), 7))
+    decoder = mcu.Decoder([custom.message])
+    wire = bytearray(mcu.encode(custom.message(12.5), 7))
     wire[1] ^= 0x20
     statuses = [mcu.SensorStatus(470, 580, 0.0, 0.0, roll) for roll in (1.0, 2.0)]
     wire += mcu.encode(statuses[0], 8) + mcu.encode(statuses[1], 9)
@@ -241,6 +244,36 @@ def test_a_custom_function():
     assert str(polled.name_reply(bus.Reply(bus.OK, b'\x0a\0'))) == 'level OK data=1'
     for other in bus.Reply(bus.OK, b'\x0a'), bus.Reply(bus.ERROR, b'\2\x80'):
         assert str(polled.name_reply(other)) == str(other)
+
+
+# -- motions --------------------------------------------------------------------------------------
+
+def test_twists_are_motions_by_default_and_other_commands_may_be():
+    arm = dict(DRIVE, ros_type='std_msgs/Int16', layout='<h', fields=['data'])
+    assert [one(row).motion for row in (
+        DRIVE, dict(DRIVE, ros_type='geometry_msgs/TwistStamped'), dict(DRIVE, motion=False), arm,
+        dict(arm, motion=True), FORCE)] == [True, True, False, False, True, False]
+    assert one(DRIVE, motion=False, layout='<h*', fields=['data']).layout.layout == '<h*'
+
+
+def test_the_zero_of_a_motion_is_0_by_scale_and_offset_and_raw_0_where_left_out():
+    row = one(DRIVE, layout='<BhB?', fields=['', 'linear.x', 'angular.z', 'linear.y'],
+              scale=[1, 0.5, 0.1, 1], offset=[7, -1, -12.8, 0])
+    assert row.zero.pack() == b'\0\2\0\x80\0'
+
+
+@pytest.mark.parametrize('given, sent, why', [
+    ((0.25, -1.5), (0.25, -1.5), ''), ((0.6000000238418579, 0), (0.6000000238418579, 0), ''),
+    ((-0.7, 0.1), (-0.6, 0.1), 'name: linear.x is -0.7, out of range, sent -0.6'),
+    ((0.1, 1e9), (0.1, 32.767), 'name: angular.z is 1e+09, out of range, sent 32.767'),
+    ((math.nan, 1), (0, 0), 'name: linear.x is nan, sent 0'),
+    ((0.1, -math.inf), (0, 0), 'name: angular.z is -inf, sent 0')])
+def test_a_motion_is_saturated_and_what_is_not_finite_is_the_zero(given, sent, why):
+    row = one(DRIVE, minimum=[-0.6, -math.inf], maximum=[0.6, math.inf])
+    values, reason = row.saturated(given)
+    assert (tuple(values), reason) == (sent, why)
+    row.message(*values).pack()
+    assert not row.message(*values).implausible()
 
 
 # -- mistakes -------------------------------------------------------------------------------------
@@ -273,8 +306,6 @@ def test_a_custom_function():
     (FORCE, {'layout': '<I', 'fields': ['@time'], 'direction': 'to_board'}, 'fields',
      'may have @time in a message from the board'),
     (FORCE, {'constants': {'@time': 1}}, 'constants', 'the path of each field'),
-    (FORCE, {'layout': '<Ih', 'fields': ['@time', 'data'], 'maximum': 400}, 'maximum',
-     'from -327.68 to 327.67'),
     (FORCE, {'layout': '<Ib', 'fields': ['@time', 'data'], 'maximum': None, 'invalid': 255},
      'invalid', 'its place (I)'),
     (PUMP, {'request': {'layout': '<I', 'fields': ['@time']}}, 'request/fields',
@@ -284,16 +315,10 @@ def test_a_custom_function():
     (FORCE, {'scale': 0}, 'scale', 'may be a number but 0'),
     (FORCE, {'scale': [1, 2]}, 'scale', 'or a list of 1'),
     (FORCE, {'offset': float('inf')}, 'offset', 'may be a number'),
-    (FORCE, {'maximum': 400}, 'maximum', 'from -327.68 to 327.67'),
-    (FORCE, {'layout': '<Bh', 'fields': ['a', 'b'], 'scale': 1, 'maximum': [300, 300]}, 'maximum',
-     'from 0 to 255'),
-    (FORCE, {'layout': '<Bh', 'fields': ['a', 'b'], 'scale': 1, 'maximum': 33000}, 'maximum',
-     'from 0 to 255'),
     (FORCE, {'minimum': 200, 'maximum': 100}, 'minimum', 'at most the maximum, 100'),
     (FORCE, {'frame_id': 5}, 'frame_id', 'may be text'),
     (FORCE, {'constants': True}, 'constants', 'may be a group with a value for the path'),
     (FORCE, {'constants': {'a b': 1}}, 'constants', 'may be a group with a value for the path'),
-    (FORCE, {'constants': {'list': [[1]]}}, 'constants/list', 'a text, or a list of these'),
     (FORCE, {'child_frame_id': 5}, 'child_frame_id', 'may be text'),
     (FORCE, {'child_frame_id': 'base_link'}, 'child_frame_id', 'needs a frame_id, of another'),
     (FORCE, {'child_frame_id': 'a', 'frame_id': 'a'}, 'child_frame_id', 'needs a frame_id, of ano'),
@@ -306,9 +331,16 @@ def test_a_custom_function():
     (FORCE, {'minimum': [10**5000]}, 'minimum', '(list), may be a number'),
     (FORCE, {'frame_id': ['x'] * 10**5}, 'frame_id', '… (list), may be text'),
     (FORCE, {'frame\nid': 'x'}, 'frame\ufffdid', 'is not a key of a row'),
-    (FORCE, {'invalid': 'none'}, 'invalid', "is 'none' (str), may be a number, or a list of 1"),
-    (FORCE, {'invalid': float('nan')}, 'invalid', 'may be a number, or a list of 1'),
-    (FORCE, {'invalid': [1, 2]}, 'invalid', 'or a list of 1 with a number or an empty text'),
+    (FORCE, {'motion': True}, 'motion', 'has no meaning beside direction: from_board'),
+    (DRIVE, {'motion': 1}, 'motion', 'may be true or false'),
+    (DRIVE, {'layout': '<h*', 'fields': ['data']}, 'layout', 'numbers and bools alone'),
+    (DRIVE, {'layout': '<hs'}, 'layout', 'of a fixed length: it is a motion'),
+    (DRIVE, {'minimum': 0.1}, 'minimum', 'has to allow the zero of a motion'),
+    (DRIVE, {'maximum': [1, -0.1]}, 'maximum', 'has to allow the zero of a motion'),
+    (DRIVE, {'layout': '<BB', 'offset': 0.1}, 'offset', 'has to allow the zero of a motion'),
+    (FORCE, {'invalid': 'none'}, 'invalid', "is 'none' (str), may be a number, or an empty"),
+    (FORCE, {'invalid': float('nan')}, 'invalid', 'or a list of 1'),
+    (FORCE, {'invalid': [1, 2]}, 'invalid', 'or a list of 1'),
     (FORCE, {'invalid': 40000}, 'invalid', 'is 40000 (int), may be a raw number that its'),
     (FORCE, {'invalid': 0.5}, 'invalid', 'may be a raw number that its place (h) can hold exactly'),
     (FORCE, {'layout': '<f', 'invalid': 0.1}, 'invalid', 'its place (f) can hold exactly'),
@@ -399,18 +431,10 @@ def test_an_invalid_name_is_reported_in_one_line():
     assert str(mistake.value).startswith("arduino/messages/a\ufffd\ufffd\ufffd is 'a\\n")
 
 
-def test_a_very_large_integer_scale_makes_a_value_infinite():
-    kind = message('<q', ['data'], scale=10**300)
-    value, = kind.unpack(b'\xff' * 7 + b'\x7f')
-    assert math.isinf(value) and str(kind(value)) == 'name data=inf'
+def test_a_whole_scale_keeps_whole_numbers_and_has_to_fit_a_float():
     assert message('<q', ['data'], scale=10**9).unpack(b'\7' + bytes(7)) == (7 * 10**9,)
-
-
-def test_one_limit_for_several_values_has_to_be_in_the_range_of_one_of_them():
-    kind = message('<BBh', ['', 'a', 'b'], maximum=1000)
-    assert received(kind, b'\xff\xff\xe8\3')[1] == {}
-    assert received(kind, b'\xff\xff\xe9\3')[1] == {IMPLAUSIBLE: 1}
-    message('<Bh', ['', 'a'], maximum=[1000, 5])
+    with pytest.raises(RowError, match='scale is 1'):
+        message('<q', ['data'], scale=10**300)
 
 
 def test_no_rows_make_no_messages():

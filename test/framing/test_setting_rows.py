@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from serial_communication.boards.arduino import settings as arduino_settings
+from board_rows import car_settings as arduino_settings
+from board_rows import mcu_settings
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.mcu import settings as mcu_settings
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.custom_messages import RowError
+from serial_communication.framing.rows import RowError
 from serial_communication.framing.layout import Value
 from serial_communication.framing.settings import SettingMessage, message_of
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
@@ -150,5 +150,5 @@ def test_no_two_settings_have_one_number():
 
 
 def test_the_number_of_a_setting_and_of_a_message_are_not_the_same():
-    assert row().number == ('setting', 1)
+    assert (row().number_key, row().number) == ('setting', 1)
     assert SettingMessage.TYPE == 253

@@ -12,7 +12,7 @@ pytest.importorskip('rospy')
 from sensor_msgs.msg import CameraInfo  # noqa: E402
 
 from serial_communication.boards.arduino import DESCRIPTION, wire  # noqa: E402
-from serial_communication.ros.custom_topics import message_rows  # noqa: E402
+from serial_communication.ros.rows import read_rows  # noqa: E402
 from serial_communication.ros.parameters import check  # noqa: E402
 
 # CameraInfo has all kinds of fields: integers, fractions, a bool, a text, and both kinds of arrays.
@@ -23,9 +23,9 @@ TRUTHS = ('roi.do_rectify',)
 
 def published_as(ros_type, layout):
     """The class of a message with one value, which is published in the field `data`."""
-    row, = message_rows(DESCRIPTION, {'own': {'type': 32, 'ros_type': f'std_msgs/{ros_type}',
-                                              'layout': layout, 'fields': ['data']}})
-    return row.kind
+    row, = read_rows(DESCRIPTION, 'messages', {'own': {
+        'type': 32, 'ros_type': f'std_msgs/{ros_type}', 'layout': layout, 'fields': ['data']}})
+    return row.row.message
 
 
 @pytest.mark.parametrize('ros_type, least, most, beyond', [
@@ -111,8 +111,9 @@ def test_any_values_of_any_rows_are_published_and_sent_back_unchanged(cases):
         entries[f'from{index}'] = dict(row, type=20 + index)
         entries[f'to{index}'] = dict(row, type=120 + index, direction='to_board')
     checked, _ = check({'arduino': {'messages': entries}}, '/node')
-    rows = {row.custom.name: row for row in checked['arduino/messages']}
-    decoder = wire.Decoder(messages=[rows[f'from{index}'].kind for index in range(len(cases))])
+    rows = {row.row.name: row for row in checked['arduino/messages']}
+    decoder = wire.Decoder(messages=[
+        rows[f'from{index}'].row.message for index in range(len(cases))])
     for index, (row, raws) in enumerate(cases):
         data = encoded(row['layout'], raws)
         there, back = rows[f'from{index}'], rows[f'to{index}']
@@ -121,13 +122,13 @@ def test_any_values_of_any_rows_are_published_and_sent_back_unchanged(cases):
         if wanted is None:
             assert (frame.message, frame.cause) == (None, 'implausible')
             continue
-        assert type(frame.message) is there.kind and not frame.cause
+        assert type(frame.message) is there.row.message and not frame.cause
         str(frame.message)
         message = delivered(there.fields.fill(there.fields.new(), frame.message))
         assert [field(message, path) for path in row['fields']] == wanted
         is_exact = (row['scale'], row['offset']) == (1, 0) and lossless(row, raws)
         try:
-            packed = back.kind(*back.fields.read(message)).pack()
+            packed = back.read(message).pack()
         except ValueError:
             # Rounding and scaling may exceed the raw number's range, but only by one step.
             assert not is_exact

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip('rospy')
 from serial_communication.framing.layout import readable  # noqa: E402
+from serial_communication.framing.rows import Kind  # noqa: E402
 from serial_communication.ros.parameters import ParameterError, check  # noqa: E402
 
 NUMBERS = st.one_of(
@@ -86,10 +87,9 @@ def test_any_row_is_accepted_or_refused_with_one_line(case, data):
         assert str(error) == readable(str(error)) and len(str(error)) < 1000, error
         return
     accepted, = values[group]
-    custom = accepted[0]
-    layout, fields = (accepted.kind.LAYOUT, accepted.fields) if rows_of == 'messages' else \
-        (custom.reply, accepted.reply)
-    is_command = rows_of == 'messages' and custom.is_command
+    row, fields = accepted.row, accepted.fields
+    layout = row.layout if rows_of == 'messages' else row.reply
+    is_command = row.kind is Kind.TO
     message = fields.new()
     for size in layout.size, layout.size + 8:      # twice, since the message is reused
         received = (data * 100)[:size] or bytes(size)
@@ -98,7 +98,7 @@ def test_any_row_is_accepted_or_refused_with_one_line(case, data):
             layout.text(values)
             if not is_command and not layout.implausible(values) and not fields.lacks(values):
                 fields.fill(message, values).serialize(BytesIO())
-    back = layout if rows_of == 'messages' else custom.request
+    back = row.layout
     source = fields if rows_of == 'messages' else accepted.request
     if source:
         try:

@@ -17,10 +17,10 @@ import serial.serialposix
 from waiting import Waiter, until
 
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.boards.arduino.session import CarOptions
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.boards.mcu.link import McuLink
+from links import McuLink
 from serial_communication.link.session import ERROR, Refused
 from serial_communication.transport import open_port
 from serial_communication.transport.port import Port

@@ -1,9 +1,13 @@
 """The state of a board's settings: what is sent when, and what counts as confirmed."""
 import logging
+from dataclasses import replace
 
 import pytest
 
-from serial_communication.framing.settings import SettingMessage, read_settings
+from board_rows import car_settings
+
+from serial_communication.framing.rows import BOARD
+from serial_communication.framing.settings import SettingMessage
 from serial_communication.link.outcome import Refused
 from serial_communication.link.settings import BoardSettings
 from serial_communication.link.sparing_log import SparingLog
@@ -24,8 +28,8 @@ class Rig:
         self.refuses = self.is_current = False
         log = SparingLog('arduino', logging.getLogger('rig'))
         self.settings = BoardSettings(log, self.kinds.append, self._wake, lambda: self.now)
-        self.remove = {row.name: self.settings.add(row, announced)
-                       for row in read_settings(rows, 'arduino/settings')}
+        self.remove = {row.name: self.settings.add(replace(
+            row, origin=BOARD) if announced else row) for row in car_settings(rows)}
 
     def _wake(self):
         self.woken += 1

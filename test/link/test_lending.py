@@ -2,7 +2,7 @@
 import pytest
 
 from steps import Steps
-from serial_communication.boards.mcu.link import McuLink
+from links import McuLink
 from serial_communication.link.session import WARN, Refused
 
 

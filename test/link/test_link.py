@@ -2,9 +2,9 @@
 
 
 from steps import Steps
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.boards.bus.link import BusLink
-from serial_communication.boards.mcu.link import McuLink
+from links import McuLink
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu

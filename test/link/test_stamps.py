@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import pytest
 
-from serial_communication.boards.arduino import custom_messages
+from board_rows import car_messages
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.boards.mcu.link import McuLink
+from links import McuLink
 from serial_communication.framing.board_time import LEAST_POINTS
 from serial_communication.transport.port import Port
 
@@ -148,13 +148,13 @@ def test_without_board_time_the_clock_is_ignored(logger):
 
 
 def test_a_row_with_the_boards_time_has_its_stamp(logger):
-    row, = custom_messages({'force': {'type': 32, 'ros_type': 'a/B', 'layout': '<Ih',
-                                      'fields': ['@time', 'x']}})
-    car = Car(logger, messages=[row.kind])
+    row, = car_messages({'force': {'type': 32, 'ros_type': 'a/B', 'layout': '<Ih',
+                                   'fields': ['@time', 'x']}})
+    car = Car(logger, messages=[row.message])
     for _ in range(30):
         car.now += PERIOD
-        car.read(arduino.encode(row.kind(round(car.now * 1e6), 5)))
-    assert car.read(arduino.encode(row.kind(round(car.now * 1e6), 5)), 0.05) == pytest.approx(
+        car.read(arduino.encode(row.message(round(car.now * 1e6), 5)))
+    assert car.read(arduino.encode(row.message(round(car.now * 1e6), 5)), 0.05) == pytest.approx(
         [car.now + DELAY - 9 * BYTE], abs=1e-4)
 
 
@@ -164,7 +164,7 @@ def test_a_step_of_the_clock_of_the_stamps_changes_no_difference(car):
     car.now += PERIOD
     for step in 0.0, -3600.0, 1e9:
         car.link.receiver.take(car.time(1) + arduino.encode(arduino.Ticks(1)),
-                                     car.now + 0.02 + step, car.now + 0.02)
+                               car.now + 0.02 + step, car.now + 0.02)
         assert car.got[-1][1] == pytest.approx(car.now + step + DELAY, abs=2e-3)
         car.now += PERIOD
 

@@ -4,7 +4,7 @@ import time
 
 from boards import until
 from serial_communication.boards.arduino import wire
-from serial_communication.boards.arduino.link import ArduinoLink
+from links import ArduinoLink
 from serial_communication.boards.arduino.simulator import ModelCar
 from serial_communication.simulation.board import Runner
 from serial_communication.simulation.faults import Faults, parse

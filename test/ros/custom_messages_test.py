@@ -366,10 +366,11 @@ class Mistakes(unittest.TestCase):
         battery = dict(FORCE, ros_type='sensor_msgs/BatteryState', fields=['voltage'])
         for constants, key in (
                 ({'presnt': True}, ''), ({'present': 1}, '/present'), ({'charge': True}, '/charge'),
-                ({'charge': 'full'}, ''), ({'charge': 1e39}, '/charge'),
+                ({'charge': 'full'}, '/charge'), ({'charge': 1e39}, '/charge'),
                 ({'power_supply_status': 256}, '/power_supply_status'),
-                ({'power_supply_status': 0.5}, '/power_supply_status'), ({'location': 5}, ''),
-                ({'cell_voltage': 3.7}, ''), ({'header.stamp': 0}, ''),
+                ({'power_supply_status': 0.5}, '/power_supply_status'),
+                ({'location': 5}, '/location'),
+                ({'cell_voltage': 3.7}, '/cell_voltage'), ({'header.stamp': 0}, '/header.stamp'),
                 ({'header.frame_id': 'base'}, '/header.frame_id'), ({'voltage': 12.0}, '')):
             self.assert_mistake('arduino/messages', 'pack', dict(battery, constants=constants),
                                 '/constants' + key)
@@ -383,7 +384,11 @@ class Mistakes(unittest.TestCase):
         for group, name, row in (
                 ('arduino/messages', 'voltage', FORCE), ('arduino/messages', 'lift', FORCE),
                 ('mcu/messages', 'range_1', FORCE), ('bus/functions', 'gimbal', PUMP)):
-            self.assert_mistake(group, name, row, '')
+            section, rows = group.split('/')
+            given = {board: {'port': '/dev/' + board} for board in ('bus', 'arduino', 'mcu')}
+            given[section][rows] = {name: row}
+            with self.assertRaisesRegex(ParameterError, f'/{name} is the name of .* and of '):
+                resolved_names(check(given, '/node')[0], given)
         given = {'arduino': {'port': '/dev/a', 'messages': {'both': FORCE}},
                  'bus': {'port': '/dev/b', 'functions': {'both': PUMP}}}
         with self.assertRaisesRegex(ParameterError, '/both is the name of .* and of '):

@@ -11,7 +11,7 @@ import rostest
 
 from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Rosout, again_if_stalled,
                     own_folder, until)
-from serial_communication.boards.arduino import settings as read_settings
+from serial_communication.boards.arduino import DESCRIPTION
 from serial_communication.boards.arduino import wire
 from serial_communication.framing.announcement import chunks_of
 from serial_communication.framing.settings import SettingMessage, message_of
@@ -24,7 +24,7 @@ ROWS = {
     'reverse': {'setting': 3, 'layout': '<?'},
     'rate': {'setting': 4, 'layout': '<I'},      # which no test sets
 }
-KIND = message_of(read_settings(ROWS))
+KIND = message_of(DESCRIPTION.read('settings', ROWS))
 GAIN = 'gain: {setting: 7, layout: "<B", minimum: 1, maximum: 9}\n'
 
 

@@ -8,22 +8,37 @@ from typing import Any, Callable, Dict, List, Tuple
 from device import Device
 from world import Loop, World
 
-from serial_communication.boards.arduino import custom_messages, settings
-from serial_communication.boards.arduino.link import ArduinoLink
-from serial_communication.boards.arduino.session import CarOptions
+from serial_communication.boards.arduino import DESCRIPTION as CAR
+from serial_communication.boards.arduino import wire as car_wire
+from serial_communication.boards.arduino.session import CarOptions, CarSession
+from serial_communication.boards.bus import DESCRIPTION as BUS
 from serial_communication.boards.bus import wire as bus_wire
-from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.link import BusLink, BusSettings
-from serial_communication.boards.mcu.link import McuLink
+from serial_communication.boards.mcu.session import SensorSession
 from serial_communication.framing.announcement import read_announcement
+from serial_communication.framing.rows import BOARD, FILE, Kind
+from serial_communication.link.link import Link
 from serial_communication.link.outcome import Refused
+from serial_communication.link.sparing_log import SparingLog
 from serial_communication.transport.port import Port
+
+
+def read_rows(rows: Dict[str, Any], origin: str = FILE) -> List[Any]:
+    """The messages, commands and settings of a board that sends on its own."""
+    return [row for name, given in rows.items()
+            for row in CAR.group_of(given).read({name: given}, 'rows', origin)]
 
 
 def parts_of(rows: Dict[str, Any]) -> Tuple[List[Any], List[Any]]:
     """The custom messages among these rows, and the settings."""
-    ours = {name: row for name, row in rows.items() if 'setting' in row}
-    return custom_messages({name: rows[name] for name in rows if name not in ours}), settings(ours)
+    read = read_rows(rows)
+    return ([row for row in read if row.kind is not Kind.SETTING],
+            [row for row in read if row.kind is Kind.SETTING])
+
+
+def read_functions(rows: Dict[str, Any], origin: str = FILE) -> List[Any]:
+    """Functions of the bus."""
+    return BUS.groups[0].read(rows, 'rows', origin)
 
 
 class SimPort(Port):
@@ -52,6 +67,7 @@ class SimPort(Port):
         self._device.drain(seconds)
 
 
+_BUILT_IN = {row.name: row for row in CAR.rows if row.kind is Kind.TO}
 _WORDS = {3: 'failed', 253: 'not sent', 254: 'not known', 255: 'refused'}
 
 
@@ -66,22 +82,24 @@ class Robot:
         self.tapped: List[Tuple[int, bytes, str]] = []      # direction, frame, why it is invalid
         port = SimPort(world, device)
         self.said: List[Tuple[float, int, str]] = []        # lines of the log, and their levels
-        options: Any = {'clock': world.clock, 'now': world.clock, 'logger': self}
+        log = SparingLog(kind, self, clock=world.clock)     # type: ignore[arg-type]
+        clocks: Any = {'clock': world.clock, 'now': world.clock}
         self.link: Any
         if kind == 'arduino':
-            self.link = ArduinoLink(
-                port, CarOptions(**parameters), on_message=self._publish,
-                on_calibrating=lambda on: self.calibrating.append((world.clock(), on)), **options)
+            self.link = Link(port, CarSession(
+                log, CarOptions(**parameters), on_message=self._publish, now=world.clock,
+                on_calibrating=lambda on: self.calibrating.append((world.clock(), on))), **clocks)
         elif kind == 'mcu':
-            self.link = McuLink(
-                port, on_status=lambda message, seq, stamp: self._publish(message, stamp),
+            self.link = Link(port, SensorSession(
+                log, on_status=lambda message, seq, stamp: self._publish(message, stamp),
                 on_silence=lambda kind, seq, age: self.published.append(
                     (world.clock(), 'silent', (kind.__name__ if kind else '', age), 0.0)),
-                **parameters, **options)
+                now=world.clock, **parameters), **clocks)
         else:
             self.link = BusLink(
                 port, BusSettings(**parameters), on_environment=self._publish,
-                nonce=lambda: bytes(world.random.choices(range(256), k=4)), **options)
+                nonce=lambda: bytes(world.random.choices(range(256), k=4)),
+                logger=self, **clocks)   # type: ignore[arg-type]
         self.loops = [Loop(world, step) for step in self.link.loops()]
         port.wake = device.on_input = self.loops[0].wake    # type: ignore[method-assign]
         if is_tapped:
@@ -94,30 +112,28 @@ class Robot:
         self.used: List[Tuple[float, List[str]]] = []   # when announced rows came into use
         self.functions: Dict[str, Any] = {}     # of the bus, by name
         self.commands: Dict[str, Any] = {}      # the rows to the car
-        self._use_rows(rows, False)
+        self._use_rows(rows, FILE)
 
-    def _use_rows(self, rows: Dict[str, Any], announced: bool) -> None:
+    def _use_rows(self, rows: Dict[str, Any], origin: str) -> None:
         """Use these rows, as the ROS side does."""
         link, made = self.link, self._made
         if self.kind == 'bus':
-            self.functions = {each.name: each._replace(announced=announced)
-                              for each in read_functions(rows)}
-            link.session.stops = [(each.make_request(()), each) for each in self.functions.values()
-                          if each.interrupts]
+            self.functions = {each.name: each for each in read_functions(rows, origin)}
+            link.session.stops = [(each.make_request(()), each)
+                                  for each in self.functions.values() if each.interrupts]
             return
-        messages, its_settings = parts_of(rows)
-        for row in messages:
-            row.kind.ANNOUNCED = announced
-            if row.is_command:
-                self.commands[row.name] = row.kind
+        for row in read_rows(rows, origin):
+            if row.kind is Kind.SETTING:
+                made.append(link.session.board_settings.add(row))
+            elif row.kind is Kind.TO:
+                self.commands[row.name] = row
             else:
-                link.session.decoder.add_message(row.kind)
-                made.append(partial(link.session.decoder.remove_message, row.kind))
-            if row.ros_type == 'geometry_msgs/Twist':
-                zero = row.kind(*(0.0 for _ in row.kind.LAYOUT.values))
-                link.add_motion(zero)
-                made.append(partial(link.remove_motion, zero))
-        made += [link.session.board_settings.add(each, announced) for each in its_settings]
+                link.session.decoder.add_message(row.message)
+                made.append(partial(link.session.decoder.remove_message, row.message))
+            if row.motion:
+                link.session.add_motion(row.zero)
+                made.append(partial(link.writer.write, partial(
+                    link.session.remove_motion, row.zero)))
 
     def _use(self, text: bytes) -> None:
         """Use the rows of an announcement instead."""
@@ -125,7 +141,7 @@ class Robot:
             self._made.pop()()
         self.commands.clear()
         announced = read_announcement(text)
-        self._use_rows(announced.rows, True)
+        self._use_rows(announced.rows, BOARD)
         self.link.session.announcement.use(text, announced.firmware, list(announced.rows))
         self.used.append((self.world.clock(), list(announced.rows)))
 
@@ -141,9 +157,16 @@ class Robot:
     def command(self, name: str, *values: Any) -> str:
         """Send a command to the car: '' if it was accepted, else why it was refused."""
         link = self.link
-        send = {'speed': link.set_speed, 'steering': link.set_steering, 'led': link.set_led,
-                'calibrate': link.calibrate_imu}.get(
-                    name, lambda *row: link.command(self.commands[name](*row)))
+
+        def send_row(*values: Any) -> None:
+            row = self.commands.get(name) or _BUILT_IN[name]
+            link.writer.submit(row.message(*(row.saturated(values)[0] if row.motion else values)))
+
+        if name == 'calibrate':
+            values = (car_wire.ImuCalibration(),)
+            send = link.writer.submit
+        else:
+            send = send_row
         try:
             send(*values)
         except Refused as refused:

@@ -210,7 +210,7 @@ def stale_commands_are_refused(e: Evidence) -> Verdicts:
     """What is asked for within 0.5 s after a stall is refused, zeros excepted."""
     for begin, end in longer(e.stalls[1], 0.55):
         for command in e.story.commands:
-            if end < command.time < end + FRESH - SLACK and not _is_zero(command):
+            if end < command.time < end + FRESH - SLACK and not asks_for_zero(command):
                 yield 1, '' if command.refused else \
                     f'{command.name} {command.value} at {command.time:.3f}, a stall until {end:.3f}'
 
@@ -254,8 +254,9 @@ def _wire_value(name: str, value) -> bytes:
 _TYPES = {'speed': SPEED, 'steering': STEERING, 'led': LED, 'gripper': GRIPPER, 'drive': DRIVE}
 
 
-def _is_zero(command: Command) -> bool:
-    return command.value in (0, (0.0, 0.0))
+def asks_for_zero(command: Command) -> bool:
+    return command.value in (0, (0.0, 0.0)) or command.name == 'drive' and not all(
+        map(isfinite, command.value))
 
 
 def _is_saturated(command: Command) -> bool:
@@ -287,7 +288,7 @@ def commands_arrive(e: Evidence) -> Verdicts:
     disturbed = e.stalls[1] + e.stalls[0] + e.events('blocked', 'altered', 'cut', 'unplugged') + [
         (asked, asked + 0.1) for asked, _, _, _ in e.story.tasks]
     for command in e.story.commands:
-        if command.name not in _TYPES or command.refused or _is_zero(command):
+        if command.name not in _TYPES or command.refused or asks_for_zero(command):
             continue
         opened, closed = e.opening_of(command.time)
         excused = closed < command.time + 0.2 or overlaps(
@@ -315,8 +316,7 @@ def refusals_are_true(e: Evidence) -> Verdicts:
             yield 1, '' if cause else f'{command.name} at {now:.3f} was accepted, it is closed'
             continue
         bad = command.name == 'led' and (
-            len(command.value) > 30 or not command.value.isascii()) \
-            or command.name == 'drive' and _is_saturated(command)
+            len(command.value) > 30 or not command.value.isascii())
         may = {'': not bad, 'value': bad, 'stopped': overlaps(e.stops, now, now),
                'calibrating': overlaps(calibrations, now, now) or command.name == 'calibrate',
                'stall': overlaps(longer(merged(e.stalls[1] + e.stalls[0]), STALL), now, now,
@@ -357,7 +357,7 @@ def calibrations_end(e: Evidence) -> Verdicts:
             f'the calibration of {start:.3f} goes on at {last:.3f}'
         if end is None:
             continue
-        times = [start, *(frame.time for frame in imu if start < frame.time <= end)]
+        times = [start, *sorted({frame.time for frame in imu if start < frame.time <= end})]
         # Of those that may have been dropped after a stall either may count.
         sure = [each for each in times[:-1] if not overlaps(stalls, each, each, FRESH + 0.1)]
         stalled = sum(min(high, end) - low for low, high in longer(stalls, 0.31)
@@ -415,8 +415,8 @@ def silences_were_observed(e: Evidence) -> Verdicts:
 def heartbeats_are_regular(e: Evidence) -> Verdicts:
     """100 heartbeats a second, and never over 13 in 0.1 s, also after a stall."""
     beats = [frame.time for frame in e.of_type(e.wrote, HEARTBEAT)]
-    # The link's thread closes a port that is lent.
-    lent = [stall for stall in e.stalls[0] if overlaps(
+    # The link's thread closes a port that is lent, or a connection that is given up.
+    lent = [stall for stall in e.stalls[0] if e.story.device.kind == 'network' or overlaps(
         [(asked, asked) for asked, _, _, _ in e.story.tasks], *stall)]
     for index, beat in enumerate(beats[:-13]):
         yield 1, '' if beats[index + 13] > beat + 0.1 else f'13 heartbeats from {beat:.3f} on'

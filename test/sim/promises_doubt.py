@@ -6,7 +6,7 @@ from typing import Dict, Iterator, List, Tuple
 from evidence import Evidence, Interval, longer, merged, overlaps
 from promises import (CALIBRATION, DRIVE, ECHO, FRESH, FUNCTION, HALT, HEARTBEAT, SLACK, SYNC,
                       Verdicts, is_zero, told)
-from promises_car import repeated, times_out
+from promises_car import asks_for_zero, repeated, times_out
 
 _LINES = 10.0       # s in which a line is not said again
 
@@ -68,7 +68,7 @@ def motions_end_first(e: Evidence) -> Verdicts:
     before += [(e.story.ended, 'end')] if e.story.ended else []
     for time, name in before:
         opened, closed = e.opening_of(time)
-        limit = time + (0.0 if name == 'calibration' else 0.2)
+        limit = time + (0.2 if name in ('lend', 'end') else 0.0)
         last = [frame for frame in drives if opened <= frame.time <= min(limit, closed)][-1:]
         excused = not last or overlaps(
             e.stalls[0] + e.stalls[-1] + e.events('blocked', 'unplugged', 'cut'),
@@ -224,7 +224,7 @@ def a_silent_pty_takes_no_command(e: Evidence) -> Verdicts:
         now = command.time
         opened, closed = e.opening_of(now)
         heard = max([opened, *(each for each in reads if each <= now)])
-        if opened > now or heard + limit + 0.2 > now or command.value == 0 \
+        if opened > now or heard + limit + 0.2 > now or asks_for_zero(command) \
                 or not any(each < heard + 1e-6 for each in reads):
             continue
         excused = closed < now + SLACK or overlaps(e.stalls[0], heard, now, 0.2)

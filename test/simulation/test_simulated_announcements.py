@@ -31,7 +31,7 @@ def test_the_examples_are_announced_as_they_stand_in_the_file(name):
     announcement = read_announcement(announced_text(name, options.config))
     given = board_parameters(read_parameters(EXAMPLES), name)
     assert announcement == (f'simulated_{name} 1.0',
-                            given[description(name).custom.parameter], [])
+                            given[description(name).groups[0].parameter], [])
 
 
 def announced(bench, seconds):
@@ -90,7 +90,7 @@ def test_the_control_board_answers_with_the_chunk_that_it_is_asked_for():
 
 def test_rows_that_are_too_many_or_too_long_cannot_be_announced():
     class Config(list):
-        rows = {f'row{number}': {'type': number} for number in range(17)}
+        given = {f'row{number}': {'type': number} for number in range(17)}
     with pytest.raises(ValueError, match='17 rows in .* bytes cannot be announced'):
         announced_text('arduino', Config())
     Config.rows = {'row': {'frame_id': 'x' * 2048}}

@@ -6,20 +6,20 @@ from lines import ROOT
 from simulation_bench import Bench
 
 from serial_communication.boards import BOARDS, description
-from serial_communication.boards.arduino import custom_messages
+from board_rows import car_messages, functions
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.simulator import ModelCar
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.functions import read_functions
 from serial_communication.boards.bus.simulator import ControlBoard
 from serial_communication.boards.config_file import board_parameters, read_parameters
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard
+from serial_communication.framing.rows import Kind
 from serial_communication.simulation.custom_messages import simulated_values
 
 EXAMPLES = read_parameters(os.path.join(ROOT, 'config', 'custom_messages.yaml'))
 FUNCTIONS, CAR, SENSORS = (
-    board.custom.read(board_parameters(EXAMPLES, board.name)[board.custom.parameter])
+    board.read_all(board_parameters(EXAMPLES, board.name))
     for board in map(description, BOARDS))
 
 
@@ -27,7 +27,7 @@ FUNCTIONS, CAR, SENSORS = (
     (CAR, ModelCar(custom=CAR), arduino.Decoder),
     (SENSORS, SensorBoard(custom=SENSORS), mcu.Decoder)], ids=('arduino', 'mcu'))
 def test_every_message_of_the_examples_is_played_within_its_limits(own, board, decoder):
-    kinds = [message.kind for message in own if not message.is_command]
+    kinds = [message.message for message in own if message.kind is Kind.FROM]
     bench = Bench(board, decoder(messages=kinds))
     bench.run(20.0001)
     frames = bench.decoder.feed(bench.output())
@@ -40,7 +40,7 @@ def test_every_message_of_the_examples_is_played_within_its_limits(own, board, d
 
 def test_a_received_command_of_the_examples_is_printed():
     bench = Bench(ModelCar(custom=CAR), arduino.Decoder())
-    gripper, = [message.kind for message in CAR if message.is_command]
+    gripper, = [message.message for message in CAR if message.kind is Kind.TO]
     bench.feed(arduino.encode(gripper(12.5, 0.5)))
     assert [text for text in bench.said if 'gripper' in text] == ['gripper x=12.5 z=0.501961']
 
@@ -52,8 +52,8 @@ def test_a_received_command_of_the_examples_is_printed():
     ({'layout': '<B', 'scale': -2, 'minimum': -7, 'maximum': -3}, (-6, -4)),
     ({'layout': '<?'}, (0, 1)), ({'layout': '<d', 'minimum': 3, 'maximum': 3}, (3, 3))])
 def test_simulated_values_cover_their_range_and_stay_in_it(values, range_of):
-    custom, = custom_messages({'any': dict(values, type=99, ros_type='a/B', fields=['data'])})
-    layout = custom.kind.LAYOUT
+    custom, = car_messages({'any': dict(values, type=99, ros_type='a/B', fields=['data'])})
+    layout = custom.layout
     numbers = [layout.unpack(layout.pack(simulated_values(layout, tick / 7)))[0]
                for tick in range(500)]
     assert min(numbers) >= range_of[0] and max(numbers) <= range_of[1]
@@ -61,9 +61,9 @@ def test_simulated_values_cover_their_range_and_stay_in_it(values, range_of):
 
 
 def test_no_value_is_played_sometimes():
-    custom, = custom_messages({'any': dict(type=99, ros_type='a/B', layout='<Hh*', minimum=0,
-                                           fields=['a', 'b'], maximum=9, invalid=[65535, -1])})
-    layout = custom.kind.LAYOUT
+    custom, = car_messages({'any': dict(type=99, ros_type='a/B', layout='<Hh*', minimum=0,
+                                        fields=['a', 'b'], maximum=9, invalid=[65535, -1])})
+    layout = custom.layout
     texts = [layout.text(layout.unpack(layout.pack(simulated_values(layout, tick / 10))))
              for tick in range(100)]
     assert sum('a=none' in text for text in texts) == 10
@@ -71,18 +71,18 @@ def test_no_value_is_played_sometimes():
 
 
 def test_a_simulated_text_is_cut_to_its_place():
-    custom, = custom_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
-                                           fields=['a', 'b'])})
-    assert simulated_values(custom.kind.LAYOUT, 5.0) == ('sim', 'simulated 5')
+    custom, = car_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
+                                        fields=['a', 'b'])})
+    assert simulated_values(custom.layout, 5.0) == ('sim', 'simulated 5')
 
 
 @pytest.mark.parametrize('board, wire', [(ModelCar, arduino), (SensorBoard, mcu)])
 def test_a_row_with_a_time_has_that_of_the_boards_clock(board, wire):
-    row, = description(board.NAME).custom.read({'force': {
+    row, = description(board.NAME).read('messages', {'force': {
         'type': 40, 'ros_type': 'a/B', 'layout': '<hI', 'fields': ['x', '@time']}})
-    bench = Bench(board(custom=[row]), wire.Decoder(messages=[row.kind]))
+    bench = Bench(board(custom=[row]), wire.Decoder(messages=[row.message]))
     bench.run(1.05)
-    times = [message[1] for message in bench.messages(row.kind)]
+    times = [message[1] for message in bench.messages(row.message)]
     assert times == pytest.approx([100_000 * number for number in range(1, 11)], abs=1)
 
 
@@ -107,7 +107,7 @@ def test_custom_functions_are_answered():
 
 
 def test_a_custom_function_refuses_a_value_outside_its_limits():
-    own = read_functions({'speed': {
+    own = functions({'speed': {
         'cmd2': 0x40, 'srv_type': 'a/B',
         'request': {'layout': '<B', 'fields': ['speed'], 'maximum': 10}}})
     bench = Bench(ControlBoard(custom=own), bus.ReplyDecoder())

@@ -1,51 +1,56 @@
 """The model car's Arduino Nano: COBS packets, and a heartbeat that keeps the motor running."""
-from typing import Any, List, Mapping
+from typing import Any, Mapping
 
-from ...framing.custom_messages import (FROM_BOARD, RESERVED, TO_BOARD, CustomMessage,
-                                        read_messages)
-from ...framing.settings import Setting, message_of, read_settings
+from ...framing.layout import Layout, Value
+from ...framing.row_reader import RESERVED, Group
+from ...framing.rows import Kind, Row, Setting
+from ...framing.settings import message_of
 from ...framing.stream import Decoder
-from ..description import CustomRows, Description, Heartbeat, Service, Topic
+from ..description import Description, Heartbeat, Service, Topic
 from . import wire
 
 
-def custom_messages(entries: Any, key: str = 'arduino/messages') -> List[CustomMessage]:
-    """The custom messages in the parameter `key`; RowError for the first mistake in them."""
-    free = [type_ for type_ in range(RESERVED) if type_ not in wire.BUILT_IN]
-    return read_messages(entries, key, free, wire.MAX_PACKET - 1, (FROM_BOARD, TO_BOARD))
-
-
-def settings(entries: Any, key: str = 'arduino/settings') -> List[Setting]:
-    """The settings in the parameter `key`; RowError for the first mistake in them."""
-    return read_settings(entries, key)
-
-
 def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
-    kinds = [each.kind for each in custom_messages(parameters.get('messages') or {})
-             if each.is_command == sent]
-    kinds.append(message_of(settings(parameters.get('settings') or {})))
+    rows = DESCRIPTION.read_all(parameters)
+    kinds = [row.message for row in rows if row.kind is (Kind.TO if sent else Kind.FROM)]
+    kinds.append(message_of(row for row in rows if row.kind is Kind.SETTING))
     return wire.BoardDecoder(messages=kinds) if sent else wire.Decoder(messages=kinds)
+
+
+def _row(name: str, kind: Kind, message: Any, ros_type: str, **more: Any) -> Row:
+    return Row(name, message.TYPE, kind, **{'layout': message.LAYOUT, **more}, ros_type=ros_type,
+               message=message)
 
 
 LONGEST_GAP = 0.03     # s between heartbeats
 DESCRIPTION = Description(
     'arduino', __name__, _decoder, 'model car',
+    rows=(
+        _row('voltage', Kind.FROM, wire.Voltage, 'serial_communication/Voltage', period=1.0),
+        _row('ticks', Kind.FROM, wire.Ticks, 'serial_communication/Ticks', period=0.01),
+        _row('steering_angle', Kind.FROM, wire.SteeringAngle,
+             'serial_communication/SteeringFeedback', period=0.01),
+        _row('speed', Kind.TO, wire.SpeedCommand, 'serial_communication/SpeedPWMCommand',
+             motion=True, newest=True, layout=Layout('<h', [
+                 Value('value', minimum=-wire.SPEED_LIMIT, maximum=wire.SPEED_LIMIT)])),
+        _row('steering', Kind.TO, wire.SteeringCommand,
+             'serial_communication/SteeringPWMCommand', newest=True),
+        _row('led', Kind.TO, wire.LedCommand, 'std_msgs/String',
+             layout=Layout('<s', [Value('data')]))),
+    groups=(
+        Group('messages', '~', (Kind.FROM, Kind.TO),
+              [type_ for type_ in range(RESERVED) if type_ not in wire.BUILT_IN],
+              wire.MAX_PACKET - 1),
+        Group('settings', '~settings/arduino/', (Kind.SETTING,), make=Setting)),
     topics=(
         Topic('~imu', 'sensor_msgs/Imu', 0.01, card=None),
         Topic('~imu/temperature', 'sensor_msgs/Temperature', 0.01, card=None),
-        Topic('~imu/calibrating', 'std_msgs/Bool', ages=False, card=None),
-        Topic('~voltage', 'serial_communication/Voltage', 1.0, card=None, message=wire.Voltage),
-        Topic('~ticks', 'serial_communication/Ticks', 0.01, card=None, message=wire.Ticks),
-        Topic('~steering_angle', 'serial_communication/SteeringFeedback', 0.01, card=None,
-              message=wire.SteeringAngle)),
+        Topic('~imu/calibrating', 'std_msgs/Bool', ages=False, card=None)),
     services=(Service('~calibrate_imu', 'std_srvs/Empty', 'calibrate the IMU', confirm=(
         'The car must not move for over five minutes. During that time it takes no commands and '
         'sends no IMU data.')),
         Service('~arduino/reset', 'std_srvs/Trigger', 'reset the car', confirm=(
             'The car stops, and its board starts anew.'))),
-    other_names=('~speed', '~steering', '~led'),
-    custom=CustomRows('messages', custom_messages, '~'),
-    settings=CustomRows('settings', settings, '~settings/arduino/'),
     heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),
     between=b'\0',
     network_silence=1.0)

@@ -1,33 +1,29 @@
 """The arduino link in ROS: its parameters, its topics and its service."""
-from functools import partial
 from math import pi, radians
-from typing import Any, Dict, List, Tuple
+from typing import Any, Dict
 
 import rospy
 from sensor_msgs.msg import Temperature
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 from std_srvs.srv import Empty, EmptyResponse
 
-from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
-
-from ...link.link import Refused
-from ...ros.commands import CommandTopic
-from ...ros.custom_topics import MessageTopics, message_rows, names_of
+from ...link.outcome import Refused
+from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
 from ...ros.publishing import publisher, wanted
+from ...ros.rows import row_parameters
 from ...transport.port import Port
-from . import DESCRIPTION, settings, wire
-from .link import ArduinoLink
-from .session import CarOptions
+from . import DESCRIPTION, wire
+from .session import CarOptions, CarSession
 
 _DEFAULTS = CarOptions()
 _LOG_FUNCTIONS = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)    # by severity
 
 
 class ArduinoInterface(Interface):
-    """Subscribes to commands and publishes measurements."""
+    """Publishes the measurements that no row describes, and calibrates."""
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
@@ -42,9 +38,7 @@ class ArduinoInterface(Interface):
         'network_silence': seconds(_DEFAULTS.network_silence, 0.0, 3600.0),
         'calibration_timeout': seconds(_DEFAULTS.calibration_timeout, 1.0, 86400.0),
         'check_plausibility': Parameter(_DEFAULTS.check_plausibility),
-        'messages': Parameter({}, parse=partial(message_rows, DESCRIPTION)),
-        'settings': Parameter({}, parse=settings),
-        'announcements': Parameter(True),
+        **row_parameters(DESCRIPTION),
         'board_time': Parameter(True),
         'gyro_scale': Parameter(wire.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
         'linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
@@ -56,12 +50,11 @@ class ArduinoInterface(Interface):
         'imu_mount': MOUNT,
     }
     MOUNTS = ('imu',)
-    link: ArduinoLink
+    binder: Binder
 
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
         self._gyro_scale = p['gyro_scale']
-        self._command_age = p['command_age']
         self._imu = ImuTopic('~imu', p, p['angular_velocity_stdev'],
                              p['linear_acceleration_stdev'])
         self._temperature = publisher('~imu/temperature', Temperature)
@@ -69,47 +62,28 @@ class ArduinoInterface(Interface):
         self._temperature_message.header.frame_id = p['imu_frame_id']
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
         self._calibrating.publish(False)
-        self._topics = MessageTopics(DESCRIPTION, p)
-        self.link = ArduinoLink(
-            Port(p['port'], p['baud'], p['reset_on_open']),
-            CarOptions(**{name: p[name] for name in CarOptions._fields}),
-            messages=self._topics.custom_kinds, on_message=self._received, on_log=self._log,
-            on_calibrating=lambda on: self._calibrating.publish(on), board_time=p['board_time'],
-            **link_options._asdict())
-        for row in p['settings']:
-            self.link.session.board_settings.add(row)
-        if p['announcements']:
-            self.announced = self._topics.announced(self.link, self._command_age)
-
-    @staticmethod
-    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
-        return names_of(parameters['messages'], '~')
+        options = CarOptions(**{name: p[name] for name in CarOptions._fields})
+        session = CarSession(
+            link_options.log(self.NAME), options, on_message=self._received,
+            on_log=self._log, on_calibrating=lambda on: self._calibrating.publish(on),
+            byte_time=10.0 / p['baud'])
+        self.link = link_options.link(Port(p['port'], p['baud'], p['reset_on_open']), session,
+                                      p['board_time'])
+        self.binder = Binder(DESCRIPTION, self.link, p)
 
     def advertise(self) -> None:
-        """Subscribe to the commands and advertise the service."""
-        link, age = self.link, self._command_age
-        # queue_size=1: of the speed and steering commands that wait, only the newest counts.
-        CommandTopic('~speed', SpeedPWMCommand, lambda message: link.set_speed(message.value),
-                     lambda message: f'speed {message.value}', link.log, age, queue_size=1,
-                     stops=lambda message: message.value == 0)
-        CommandTopic('~steering', SteeringPWMCommand,
-                     lambda message: link.set_steering(message.value),
-                     lambda message: f'steering {message.value}', link.log, age, queue_size=1)
-        CommandTopic('~led', String, lambda message: link.set_led(message.data),
-                     lambda message: f'LED {message.data[:wire.LED_LIMIT]!r}', link.log, age)
-        self._topics.take_commands(link, age)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
 
     def _calibrate(self, _request: Any) -> EmptyResponse:
         try:
-            self.link.calibrate_imu()
+            self.link.writer.submit(wire.ImuCalibration())
         except Refused as refused:
             raise rospy.ServiceException(str(refused)) from None
         return EmptyResponse()
 
     def _received(self, message: Any, stamp: rospy.Time) -> None:
         if type(message) is not wire.Imu:
-            self._topics.publish(message, stamp)
+            self.binder.publish(message, stamp)
             return
         if self._imu.is_wanted:
             self._imu.publish(stamp, message.orientation(),

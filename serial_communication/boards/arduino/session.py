@@ -3,7 +3,7 @@ and what its measurements mean.
 
 Only this module, `motion` and `calibration` decide what may reach the motor.
 """
-from typing import Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Tuple, Type
+from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tuple
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
@@ -48,7 +48,6 @@ class CarSession(Session):
         on_log: called in the link's thread with the (severity 0 … 3, text) of each log message; if
             the board sends too many, some are dropped.
         on_calibrating: called with True when a calibration begins, with False when it ends.
-        messages: classes of custom messages that the board sends.
         byte_time: s that the line needs for a byte.
         now: the clock of settings alone: their sender may stall between two.
     """
@@ -62,9 +61,8 @@ class CarSession(Session):
                  on_message: Callable[[Any, Any], None] = lambda message, stamp: None,
                  on_log: Callable[[int, str], None] = lambda severity, text: None,
                  on_calibrating: Callable[[bool], None] = lambda on: None,
-                 messages: Iterable[Type[LayoutMessage]] = (), byte_time: float = 10 / 115200,
-                 now: Callable[[], float] = clock) -> None:
-        decoder = wire.Decoder(options.check_plausibility, messages)
+                 byte_time: float = 10 / 115200, now: Callable[[], float] = clock) -> None:
+        decoder = wire.Decoder(options.check_plausibility)
         super().__init__(decoder, log, options.network_silence)
         self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake(), now)
         self.heartbeats = Heartbeats(options.heartbeat_rate)

@@ -22,10 +22,10 @@ from collections import deque
 from random import Random
 from typing import Any, Deque, Optional, Sequence
 
-from ...framing.custom_messages import CustomMessage
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
-from ...framing.settings import Setting, SettingMessage
+from ...framing.rows import Kind, Row, Setting
+from ...framing.settings import SettingMessage
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
 from ...simulation.custom_messages import CustomMessagePlayer
@@ -84,12 +84,12 @@ class ModelCar(Board):
                    options.announcement, options.config.settings)
 
     def __init__(self, calibration_time: float = 10.0, seed: int = 0,
-                 custom: Sequence[CustomMessage] = (),
+                 custom: Sequence[Row] = (),
                  announcement: Optional[bytes] = None, settings: Sequence[Setting] = (),
                  period: float = PERIOD) -> None:
         self._custom = CustomMessagePlayer(custom, announcement, settings)
         super().__init__(wire.BoardDecoder(messages=[
-            self._custom.setting_kind, *(each.kind for each in custom if each.is_command)]))
+            self._custom.setting_kind, *(row.message for row in custom if row.kind is Kind.TO)]))
         self.motor_on = False
         self.command = 0           # the SPEED at which the motor runs; 0 if it is off
         self.velocity = 0.0        # m/s

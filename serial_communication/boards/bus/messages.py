@@ -1,8 +1,10 @@
 """The messages of robot-ctrl-bus, and the functions that requests call; wire.py has the frames."""
-from typing import Any, Dict, Iterable, NamedTuple, Optional, Sequence, Tuple
+from dataclasses import dataclass
+from typing import NamedTuple, Sequence, Tuple
 
 from ...framing import announcement
-from ...framing.layout import Layout, Value
+from ...framing.layout import EMPTY, Layout, Value
+from ...framing.rows import Kind, Row
 from ...framing.stream import IMPLAUSIBLE, LENGTH
 
 # CMD1 of a request; a SYNC or ECHO reply has the same.
@@ -36,7 +38,7 @@ ERROR_TEXTS = {
 REQUEST_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', FUNCTION: 'function'}
 REPLY_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', OK: 'OK', ERROR: 'ERROR', INVALID: 'INVALID'}
 
-NO_DATA = Layout('<', ())                      # of an empty DATE
+NO_DATA = EMPTY                      # of an empty DATE
 ANY_DATA = Layout('<B*', [Value('DATE')])
 
 
@@ -130,57 +132,36 @@ def describe_error(code: int) -> str:
 # -- functions -----------------------------------------------------------------------------------
 
 
-class Function(NamedTuple):
+@dataclass(frozen=True)
+class Function(Row):
     """One kind of request, built in or a row of ``bus/functions``, as all parts of the bridge see
     it. doc/protocols.md explains what the flags mean for the Master."""
 
-    name: str
-    cmd2: int = 0
+    kind: Kind = Kind.FUNCTION
     cmd1: int = FUNCTION
-    request: Layout = NO_DATA    # the request's DATE
-    reply: Layout = NO_DATA      # the OK's DATE; empty: none is expected, but there may be some
     directions: Tuple[str, ...] = ()    # the values of the first byte of a move, in words
     moves: bool = False          # it has the timeout bus/motion_timeout
-    timeout: Optional[float] = None     # s; None: bus/motion_timeout or bus/reply_timeout
-    repeatable: bool = False     # it may be sent again if its outcome is not known
-    interrupts: bool = False     # a stop: sent at once, whatever is outstanding; it is repeatable
-    announced: bool = False      # it is sent only to a board that has announced it
-    service: str = ''            # its name; '': none
-    srv_type: str = ''           # '' for a polled topic
-    # Of a row:
-    key: str = ''                # its parameter, bus/functions/NAME
-    ros_type: str = ''           # of a polled topic
-    period: float = 0.0          # s between two polls; 0 for a service
-    frame_id: str = ''
-    constants: Dict[str, Any] = {}    # see CustomMessage
-    child_frame_id: str = ''
 
     @property
-    def number(self) -> Tuple[str, int]:
-        """The key of its number on the wire, and that number."""
-        return 'cmd2', self.cmd2
+    def cmd2(self) -> int:
+        """Its number."""
+        return self.number
+
+    @property
+    def request(self) -> Layout:
+        """The layout of the request's DATE; `reply` is that of the OK's."""
+        return self.layout
 
     def make_request(self, values: Sequence) -> Request:
         """The request with these values; ValueError for one that does not fit, or out of range."""
-        reason = self._check_move(*values) if self.directions else self.request.implausible(values)
+        reason = self.request.implausible(values)
         if reason:
-            raise ValueError(reason)
-        kind = NamedRequest if self.key else Request
-        request = kind(self.cmd1, self.cmd2, self.request.pack(values))
+            raise ValueError(f'{self.name}: {reason}')
+        request = (NamedRequest if self.key else Request)(
+            self.cmd1, self.cmd2, self.request.pack(values))
         if isinstance(request, NamedRequest):
             request.text = f'{self.name} {self.request.text(values)}'.rstrip()
         return request
-
-    def _check_move(self, direction: int, amount: int) -> str:
-        """Why a move cannot have these values; '' if it can."""
-        value = self.request.values[1]
-        if not 0 <= direction < len(self.directions):
-            choices = ', '.join(f'{number} ({each})'
-                                for number, each in enumerate(self.directions))
-            return f'{self.name}: direction is {direction}, may be {choices}'
-        if not 0 <= amount <= 255:
-            return f'{self.name}: {value.name} is {amount} {value.unit}, may be 0 to 255'
-        return ''
 
     def describe(self, data: bytes) -> str:
         """A built-in request with this DATE in words; '' if it does not fit."""
@@ -211,42 +192,27 @@ class Function(NamedTuple):
 
 
 def _move(name: str, cmd2: int, directions: Tuple[str, ...], amount: Value) -> Function:
-    layout = Layout('<BB', [Value('direction', maximum=len(directions) - 1), amount])
-    return Function(name, cmd2, request=layout, directions=directions, moves=True,
-                    service='~' + name, srv_type='serial_communication/' + name.capitalize())
+    layout = Layout('<BB', [Value('direction', minimum=0, maximum=len(directions) - 1), amount])
+    return Function(name, cmd2, layout=layout, directions=directions, moves=True,
+                    ros_type='serial_communication/' + name.capitalize())
 
 
-RAW = Function('raw', request=ANY_DATA, reply=ANY_DATA)    # any request of ~bus/request
-SYNC_FUNCTION = Function('sync', cmd1=SYNC, reply=ANY_DATA, repeatable=True, service='~bus/sync',
-                         srv_type='std_srvs/Trigger')
-ECHO_FUNCTION = Function('echo', cmd1=ECHO, request=ANY_DATA, reply=ANY_DATA, repeatable=True,
-                         service='~bus/echo', srv_type='std_srvs/Trigger')
+RAW = Function('raw', layout=ANY_DATA, reply=ANY_DATA)    # any request of ~bus/request
+SYNC_FUNCTION = Function('sync', cmd1=SYNC, reply=ANY_DATA, repeatable=True)
+ECHO_FUNCTION = Function('echo', cmd1=ECHO, layout=ANY_DATA, reply=ANY_DATA, repeatable=True)
 LIFT_FUNCTION = _move('lift', LIFT, ('up', 'down'), Value('distance', 'mm'))
 GIMBAL_FUNCTION = _move('gimbal', GIMBAL, ('left', 'right', 'up', 'down'),
                         Value('angle', 'degrees'))
-ENVIRONMENT_FUNCTION = Function(
-    'environment', ENVIRONMENT, reply=Environment.LAYOUT, repeatable=True,
-    service='~get_environment', srv_type='serial_communication/GetEnvironment')
+ENVIRONMENT_FUNCTION = Function('environment', ENVIRONMENT, reply=Environment.LAYOUT,
+                                repeatable=True)
 # Asks for one chunk of the board's announcement.
 ANNOUNCEMENT = Function(
-    'announcement', announcement.TYPE, request=Layout('<B', [Value('index')]),
+    'announcement', announcement.TYPE, layout=Layout('<B', [Value('index')]),
     reply=announcement.Chunk.LAYOUT, repeatable=True, key='bus/announcements')
 
-
-def by_number(functions: Iterable[Function]) -> Dict[Tuple[int, int], Function]:
-    """The functions by CMD1 and CMD2; ValueError if two have the same number, name or service."""
-    found: Dict[Tuple[int, int], Function] = {}
-    for function in functions:
-        for other in found.values():
-            if function.name == other.name or function.service == other.service != '':
-                raise ValueError(f'two functions have the name or service of {other.name}')
-        if found.setdefault((function.cmd1, function.cmd2), function) is not function:
-            raise ValueError(f'{function.name} has a number that another function has')
-    return found
-
-
-BUILT_IN = by_number((SYNC_FUNCTION, ECHO_FUNCTION, LIFT_FUNCTION, GIMBAL_FUNCTION,
-                      ENVIRONMENT_FUNCTION, ANNOUNCEMENT))
+BUILT_IN = {(function.cmd1, function.cmd2): function for function in (
+    SYNC_FUNCTION, ECHO_FUNCTION, LIFT_FUNCTION, GIMBAL_FUNCTION, ENVIRONMENT_FUNCTION,
+    ANNOUNCEMENT)}
 
 
 def built_in(request: Request, otherwise: Function) -> Function:

@@ -1,29 +1,25 @@
 """The bus link in ROS: its parameters, its topics and its services."""
 import os
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict
 
 import rospy
 from sensor_msgs.msg import RelativeHumidity, Temperature
-from std_srvs.srv import TriggerResponse
+from std_srvs.srv import Trigger, TriggerResponse
 
 from serial_communication.msg import Environment
-from serial_communication.srv import BusRequest, BusRequestResponse, GetEnvironmentResponse
+from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnvironment,
+                                      GetEnvironmentResponse)
 
-from ...framing.custom_messages import RowError
-from ...link.link import Refused
-from ...link.outcome import NOT_SENT, Outcome
-from ...ros.announced import AnnouncedRows
+from ...link.outcome import Outcome
 from ...ros.answers import fill_response
-from ...ros.custom_topics import ValuePublisher, check_frame_ids, names_of, refuse_taken
-from ...ros.fields import RosFields, find_type
+from ...ros.binder import Binder
 from ...ros.interface import LinkOptions, Interface
 from ...ros.parameter import PORT, Parameter, baud, seconds
 from ...ros.publishing import publisher, wanted
+from ...ros.rows import row_parameters
 from ...transport.port import Port
 from . import DESCRIPTION, wire
-from .functions import read_functions
 from .link import BusLink, BusSettings
-from .polls import Poller
 
 _DEFAULTS = BusSettings()
 
@@ -42,9 +38,7 @@ class BusInterface(Interface):
         'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'echo': Parameter(_DEFAULTS.echo),
-        'functions': Parameter({}, parse=lambda given: [
-            _ros_function(function) for function in read_functions(given)]),
-        'announcements': Parameter(_DEFAULTS.announcements),
+        **row_parameters(DESCRIPTION, _DEFAULTS.announcements),
     }
     link: BusLink
 
@@ -54,37 +48,18 @@ class BusInterface(Interface):
             Port(p['port'], p['baud']),
             BusSettings(**{name: p[name] for name in BusSettings._fields}),
             on_environment=self._publish_environment, **link_options._asdict())
-        self._functions = p['functions']
-        for row in self._functions:
-            if row.custom.period:
-                _poll(row, self.link, p)
-        if p['announcements']:
-            self.announced = AnnouncedRows(
-                DESCRIPTION, self.link, [row.custom for row in self._functions], _ros_function,
-                lambda row: _add_announced(row, self.link, p))
+        self.binder = Binder(DESCRIPTION, self.link, p)
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
         self._frame_id = p['base_frame_id']
 
-    @staticmethod
-    def custom_names(parameters: Dict[str, Any]) -> List[Tuple[str, str]]:
-        return names_of(parameters['functions'], '~')
-
     def advertise(self) -> None:
-        """Advertise the services."""
-        own = {wire.ENVIRONMENT_FUNCTION.service: self._get_environment,
-               wire.ECHO_FUNCTION.service: self._echo, wire.SYNC_FUNCTION.service: self._sync}
-        for function in wire.BUILT_IN.values():
-            if function.service in own:
-                rospy.Service(function.service, find_type(function.name, function.srv_type, 'srv'),
-                              own[function.service])
-            elif function.service:
-                _advertise(_with_types(function), self.link)
+        """Offer the services that no row describes."""
+        rospy.Service('~get_environment', GetEnvironment, self._get_environment)
+        rospy.Service('~bus/echo', Trigger, self._echo)
+        rospy.Service('~bus/sync', Trigger, self._sync)
         rospy.Service('~bus/request', BusRequest, self._request)
-        for row in self._functions:
-            if row.request:
-                _advertise(row, self.link)
 
     def _get_environment(self, _request: Any) -> GetEnvironmentResponse:
         outcome, reading = self.link.environment()
@@ -128,109 +103,6 @@ class BusInterface(Interface):
         message.header.stamp = stamp
         message.header.frame_id = self._frame_id
         return message
-
-
-# -- custom functions --------------------------------------------------------------------------
-
-
-class RosFunction(NamedTuple):
-    """A custom function with its ROS types."""
-
-    custom: wire.Function           # its reply also has the limits of the ROS fields
-    ros_class: Any                   # class of the service, or of the published message
-    request: Optional[RosFields]     # None for a polled topic
-    reply: RosFields
-
-
-def _ros_function(function: wire.Function) -> RosFunction:
-    refuse_taken(function, '~')
-    return _with_types(function)
-
-
-def _with_types(function: wire.Function) -> RosFunction:
-    key, request = function.key, None
-    if function.srv_type:
-        found = find_type(f'{key}/srv_type', function.srv_type, 'srv')
-        request = RosFields(found._request_class, function.request, f'{key}/request/fields')
-        reply = RosFields(found._response_class, function.reply, f'{key}/reply/fields')
-        if function.interrupts:
-            try:
-                _stop_request(RosFunction(function, found, request, reply))
-            except ValueError as error:
-                raise RowError(f'{key}/interrupts', True, 'needs a request that allows 0 in '
-                               f'every field: {error}') from None
-        for value in map(function.reply.values.__getitem__, reply.without_nan):
-            raise RowError(f'{key}/reply/invalid', value.invalid, f'needs a float field, but '
-                           f'{value.name} is none, and a response cannot be left out')
-    else:
-        found = find_type(f'{key}/ros_type', function.ros_type)
-        check_frame_ids(function, found)
-        reply = RosFields(found, function.reply, f'{key}/reply/fields', function.constants,
-                          f'{key}/constants')
-    narrowed = function._replace(reply=reply.narrowed(function.reply))
-    return RosFunction(narrowed, found, request, reply)
-
-
-def _stop_request(row: RosFunction) -> wire.Request:
-    """The request with every field 0, which ~stop sends; ValueError if that is out of range."""
-    assert row.request
-    return row.custom.make_request(row.request.read(row.ros_class._request_class()))
-
-
-def _poll(row: RosFunction, link: BusLink, p: Dict[str, Any]) -> Tuple[Poller, ValuePublisher]:
-    """Call a function with a period, and publish its replies."""
-    function = row.custom
-    topic = ValuePublisher('~' + function.name, row.ros_class, row.reply, function, p)
-    return link.session.polls.add(function, function.period, lambda outcome: topic.publish(
-        _values(function, outcome), outcome.stamp)), topic
-
-
-def _values(function: wire.Function, outcome: Outcome) -> Tuple:
-    """The values of an OK. Data that is not expected is left out."""
-    return () if function.reply.is_empty else function.reply.unpack(outcome.data)
-
-
-def _add_announced(row: RosFunction, link: BusLink, p: Dict[str, Any]) -> Callable[[], None]:
-    """Make the service or the poll of an announced function; return what takes it down."""
-    row = row._replace(custom=row.custom._replace(announced=True))
-    if row.request:
-        service = _advertise(row, link)
-
-        def withdraw() -> None:
-            link.session.stops = [stop for stop in link.session.stops if stop[1] is not row.custom]
-            service.shutdown('the board announces it no longer')
-
-        return withdraw
-    poller, topic = _poll(row, link, p)
-
-    def take_down() -> None:
-        link.session.polls.remove(poller)
-        topic.close()
-
-    return take_down
-
-
-def _advertise(row: RosFunction, link: BusLink) -> rospy.Service:
-    """Offer a function whose values have the names of its service's fields."""
-    function, request_fields = row.custom, row.request
-    if function.interrupts:
-        link.session.stops.append((_stop_request(row), function))
-
-    def handle(ros_request: Any) -> Any:
-        try:
-            if function.announced:
-                link.session.announcement.refuse_unless_current(function.name)
-            values = request_fields.read(ros_request) if request_fields else ()
-        except (ValueError, Refused) as error:
-            outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
-        else:
-            outcome = link.call(function, values)
-        response = fill_response(row.reply.new(), outcome)
-        if outcome.success:
-            row.reply.fill(response, _values(function, outcome))
-        return response
-
-    return rospy.Service(function.service, row.ros_class, handle)
 
 
 INTERFACE = BusInterface

@@ -1,34 +1,30 @@
 """The ESP32 with two range sensors and an IMU, or with ADC channels."""
-from typing import Any, List, Mapping
+from typing import Any, Mapping
 
-from ...framing.custom_messages import RESERVED, CustomMessage, read_messages
-from ...framing.settings import Setting, message_of, read_settings
+from ...framing.row_reader import RESERVED, Group
+from ...framing.rows import Kind, Setting
+from ...framing.settings import message_of
 from ...framing.stream import Decoder
-from ..description import CustomRows, Description, Service, Topic
+from ..description import Description, Service, Topic
 from . import wire
 
 _STATUS = 1.0     # s; the longest period: the status of a silent board is published once a second
 
 
-def custom_messages(entries: Any, key: str = 'mcu/messages') -> List[CustomMessage]:
-    """The custom messages in the parameter `key`; RowError for the first mistake in them."""
-    free = [type_ for type_ in range(RESERVED) if type_ not in wire.BUILT_IN]
-    return read_messages(entries, key, free, wire.MAX_PAYLOAD)
-
-
-def settings(entries: Any, key: str = 'mcu/settings') -> List[Setting]:
-    """The settings in the parameter `key`; RowError for the first mistake in them."""
-    return read_settings(entries, key)
-
-
 def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Decoder:
     # The board reads settings alone, and these have one format in both directions.
-    return wire.Decoder([*(each.kind for each in custom_messages(parameters.get('messages') or {})),
-                         message_of(settings(parameters.get('settings') or {}))])
+    rows = DESCRIPTION.read_all(parameters)
+    return wire.Decoder([*(row.message for row in rows if row.kind is Kind.FROM),
+                         message_of(row for row in rows if row.kind is Kind.SETTING)])
 
 
 DESCRIPTION = Description(
     'mcu', __name__, _decoder, 'sensor board',
+    groups=(
+        Group('messages', 'mcu/', (Kind.FROM,),
+              [type_ for type_ in range(RESERVED) if type_ not in wire.BUILT_IN],
+              wire.MAX_PAYLOAD),
+        Group('settings', '~settings/mcu/', (Kind.SETTING,), make=Setting)),
     topics=(
         Topic('mcu/status', 'serial_communication/McuStatus2', _STATUS, card='Ranges'),
         Topic('mcu/adc_status', 'serial_communication/McuStatus', _STATUS, optional=True,
@@ -37,6 +33,4 @@ DESCRIPTION = Description(
         Topic('mcu/range_1', 'sensor_msgs/Range', card='Ranges'),
         Topic('mcu/range_2', 'sensor_msgs/Range', card='Ranges')),
     services=(Service('~mcu/reset', 'std_srvs/Trigger', 'reset the sensor board', confirm=(
-        'The board starts anew; its measurements are missing until then.')),),
-    custom=CustomRows('messages', custom_messages, 'mcu/'),
-    settings=CustomRows('settings', settings, '~settings/mcu/'))
+        'The board starts anew; its measurements are missing until then.')),))

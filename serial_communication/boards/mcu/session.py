@@ -1,5 +1,5 @@
 """What the sensor board's frames mean: counts lost ones and reports when the board falls silent."""
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Type
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
@@ -34,7 +34,6 @@ class SensorSession(Session):
             board has sent and no longer sends: the last seq, and the seconds since that message.
             The class is None until the board has sent a built-in message, and the age counts from
             the start, or from the latest custom message.
-        messages: classes of custom messages.
         now: the clock: the watchdog runs from the start, also without a port.
     """
 
@@ -45,9 +44,8 @@ class SensorSession(Session):
                  on_status: Callable[[Any, int, Any], None] = lambda message, seq, stamp: None,
                  on_silence: Callable[[Optional[Type[LayoutMessage]], int, float], None] =
                  lambda kind, seq, age: None,
-                 network_silence: float = 5.0, messages: Iterable[Type[LayoutMessage]] = (),
-                 now: Callable[[], float] = clock) -> None:
-        decoder = wire.Decoder(messages)
+                 network_silence: float = 5.0, now: Callable[[], float] = clock) -> None:
+        decoder = wire.Decoder()
         super().__init__(decoder, log, network_silence)
         self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake(), now)
         self.checksum_errors = 0        # those before the frame that is delivered

@@ -15,8 +15,8 @@ import math
 from random import Random
 from typing import Any, Iterable, Optional, Sequence
 
-from ...framing.custom_messages import CustomMessage
-from ...framing.settings import Setting, SettingMessage
+from ...framing.rows import Row, Setting
+from ...framing.settings import SettingMessage
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
 from ...simulation.custom_messages import CustomMessagePlayer
@@ -69,7 +69,7 @@ class SensorBoard(Board):
                    not options.no_imu, options.announcement, options.config.settings)
 
     def __init__(self, rate: float = RATE, adc: bool = False, seed: int = 0,
-                 custom: Iterable[CustomMessage] = (), imu: bool = True,
+                 custom: Iterable[Row] = (), imu: bool = True,
                  announcement: Optional[bytes] = None, settings: Sequence[Setting] = ()) -> None:
         self._custom = CustomMessagePlayer(custom, announcement, settings)
         super().__init__(wire.Decoder([self._custom.setting_kind]))

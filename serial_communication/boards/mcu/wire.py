@@ -70,14 +70,6 @@ class SensorStatus(LayoutMessage, namedtuple(
         return not isnan(self.pitch)
 
     @property
-    def missing(self) -> str:
-        """The sensors without a value, for people."""
-        return ', '.join(name for name, is_missing in (
-            ('range 1', self.range_1 == RANGE_TIMED_OUT),
-            ('range 2', self.range_2 == RANGE_TIMED_OUT),
-            ('the angles', not self.angles_known)) if is_missing)
-
-    @property
     def valid(self) -> bool:
         """Whether all sensors answered."""
         return RANGE_TIMED_OUT not in (self.range_1, self.range_2) and self.angles_known

@@ -92,7 +92,7 @@ class Commands:
 
     def _register(self) -> None:
         """Create and unregister publishers. Runs in the registrar's thread."""
-        classes = {**_TOPICS, **{name: each.row.message_class
+        classes = {**_TOPICS, **{name: each.row.ros_class
                                  for name, each in self._messages.items()}} if self._wanted else {}
         for name, publisher in list(self._publishers.items()):
             if publisher.data_class is not classes.get(name):

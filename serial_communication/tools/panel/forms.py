@@ -7,13 +7,13 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
 import genpy
 import roslib.message
 
-from ...boards.description import CustomRows, Description, Field
-from ...framing.custom_messages import RowError
+from ...boards.description import Description, Field
 from ...framing.layout import FRACTIONS, Value
-from ...framing.settings import Setting
-from ...ros.custom_topics import RosMessage, message_rows
+from ...framing.row_reader import Group
+from ...framing.rows import Kind, RowError, Setting
+from ...ros.rows import RosRow, read_rows
 from ...ros.settings import Reconfigure
-from ..watch.topics import custom_rows, setting_rows
+from ..watch.topics import given_rows
 from .dead_man import CommandRefused
 
 _INTEGERS = {f'{sign}int{bits}': ((-(1 << bits - 1), (1 << bits - 1) - 1) if not sign
@@ -41,13 +41,13 @@ class Service(NamedTuple):
 class Message(NamedTuple):
     """A custom command: a row whose messages are sent to the board."""
 
-    row: RosMessage
+    row: RosRow
     link: str
     fields: List[Dict[str, Any]]
 
     def make(self, given: Dict[str, Any]) -> Any:
         """The ROS message with these values; CommandRefused if they do not fit the row."""
-        layout, name = self.row.kind.LAYOUT, self.row.custom.name
+        layout, name = self.row.row.layout, self.row.row.name
         names = [value.name for value in layout.values if value.name]
         if sorted(given) != sorted(names):
             raise CommandRefused(f'{name} takes {", ".join(names)}')
@@ -108,29 +108,28 @@ def service(service_class: Any, link: str, values: Iterable[Value] = ()) -> Serv
 def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
     """The boards' custom functions that are services and whose types are installed here."""
     found = {}
-    for board, custom, name, row in _rows(boards, parameters):
+    for board, group, name, row in _rows(boards, parameters):
         type_ = row.get('srv_type')
         service_class = roslib.message.get_service_class(type_) if isinstance(type_, str) else None
         if service_class:
-            found[custom.prefix + name] = service(
-                service_class, board.name, _request_values(custom, name, row))
+            found[group.prefix + name] = service(
+                service_class, board.name, _request_values(board, group, name, row))
     return found
 
 
 def settings(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
-    """The boards' settings, by parameter, if dynamic_reconfigure is installed here."""
+    """The boards' settings, by parameter."""
     found: Dict[str, Service] = {}
-    for board in boards:
-        if board.settings is None or Reconfigure is None:
+    for board, group, name, row in _rows(boards, parameters):
+        if Kind.SETTING not in group.kinds:
             continue
-        for name, row in setting_rows(board, parameters).items():
-            try:
-                setting, = board.settings.read({name: row})
-            except RowError:
-                continue        # the bridge does not use it
-            found[board.settings.prefix + name] = Service(
-                Reconfigure, board.name, [_setting_field(setting)], f'{board.name}: {name}',
-                setting=setting)
+        try:
+            setting, = board.read(group.parameter, {name: row})
+        except RowError:
+            continue        # the bridge does not use it
+        found[group.prefix + name] = Service(
+            Reconfigure, board.name, [_setting_field(setting)], f'{board.name}: {name}',
+            setting=setting)
     return found
 
 
@@ -145,29 +144,29 @@ def _setting_field(setting: Setting) -> Dict[str, Any]:
 def custom_messages(boards: Iterable[Description], parameters: Any) -> Dict[str, Message]:
     """The boards' custom commands whose types are installed here."""
     found = {}
-    for board, custom, name, row in _rows(boards, parameters):
+    for board, group, name, row in _rows(boards, parameters):
         if row.get('direction') != 'to_board':
             continue
         try:
-            message = message_rows(board, {name: row})[0]
+            message, = read_rows(board, group.parameter, {name: row})
         except RowError:
             continue        # the bridge has not started with it
-        found[custom.prefix + name] = Message(message, board.name, [
-            _field(value.name, '', value) for value in message.kind.LAYOUT.values if value.name])
+        found[message.name] = Message(message, board.name, [
+            _field(value.name, '', value) for value in message.row.layout.values if value.name])
     return found
 
 
 def _rows(boards: Iterable[Description], parameters: Any,
-          ) -> Iterable[Tuple[Description, CustomRows, str, Dict[str, Any]]]:
-    return [(board, board.custom, name, row) for board in boards if board.custom
-            for name, row in custom_rows(board, parameters).items()]
+          ) -> Iterable[Tuple[Description, Group, str, Dict[str, Any]]]:
+    return [(board, *found) for board in boards for found in given_rows(board, parameters)]
 
 
-def _request_values(custom: CustomRows, name: str, row: Dict[str, Any]) -> Iterable[Value]:
+def _request_values(board: Description, group: Group, name: str,
+                    row: Dict[str, Any]) -> Iterable[Value]:
     """The values of a function's request, by its row."""
     try:
-        return custom.read({name: row})[0].request.values
-    except (RowError, AttributeError):
+        return board.read(group.parameter, {name: row})[0].layout.values
+    except RowError:
         return ()
 
 

@@ -10,8 +10,9 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
 from ...boards import BOARDS, description, descriptions
 from ...boards.config_file import board_packages, board_parameters
-from ...boards.description import ANNOUNCED, CustomRows, Description
+from ...boards.description import ANNOUNCED, Description
 from ...framing.layout import BOARD_TIME
+from ...framing.row_reader import Group
 
 NODE = '/serial_communication'           # the bridge's default name
 LINKS = BOARDS                           # in this order, before links of other packages
@@ -78,7 +79,7 @@ def board_topics(board: Description, parameters: Any = None) -> List[BridgeTopic
     own = board_parameters(parameters, board.name)
     return [BridgeTopic(topic.name, topic.type, (board.name,),
                         _number(own.get(topic.period_parameter)) or topic.period,
-                        topic.ages, topic.optional, card=topic.card) for topic in board.topics]
+                        topic.ages, topic.optional, card=topic.card) for topic in board.published]
 
 
 def _number(value: Any) -> Optional[float]:
@@ -176,31 +177,26 @@ def expected_links(parameters: Dict[str, Any]) -> List[str]:
     return in_order(name for name in parameters if board_parameters(parameters, name).get('port'))
 
 
-def custom_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]]:
-    """Return the custom messages or functions of a board, by name: the rows of its parameters, and
-    those that it announces."""
-    return _rows(board, board.custom, parameters)
-
-
-def setting_rows(board: Description, parameters: Any) -> Dict[str, Dict[str, Any]]:
-    """Return the settings of a board, likewise."""
-    return _rows(board, board.settings, parameters)
-
-
-def _rows(board: Description, kind: Optional[CustomRows],
-          parameters: Any) -> Dict[str, Dict[str, Any]]:
-    names = (ANNOUNCED, kind.parameter) if kind else ()
+def given_rows(board: Description, parameters: Any) -> List[Tuple[Group, str, Dict[str, Any]]]:
+    """Return the rows of a board, those of its parameters and those that it announces, with their
+    groups and names."""
     given = board_parameters(parameters, board.name)
-    return {name: row for rows in map(given.get, names) if isinstance(rows, dict)
-            for name, row in rows.items() if isinstance(row, dict) and board.rows_of(row) is kind}
+    found = {(group.parameter, name): (group, name, row)
+             for rows in (ANNOUNCED, *(group.parameter for group in board.groups))
+             for name, row in _group(given.get(rows)).items() if isinstance(row, dict)
+             for group in [board.group_of(row)] if rows in (ANNOUNCED, group.parameter)}
+    return list(found.values())
+
+
+def _group(given: Any) -> Dict[str, Any]:
+    return given if isinstance(given, dict) else {}
 
 
 def row_topics(board: Description, parameters: Any) -> List[BridgeTopic]:
     """Return the topics of a board's custom messages and polled functions."""
-    prefix = board.custom.prefix if board.custom else ''
-    return [BridgeTopic(prefix + name, str(row['ros_type']), (board.name,),
+    return [BridgeTopic(group.prefix + name, str(row['ros_type']), (board.name,),
                         _number(row.get('period')), fields=_fields(row.get('reply', row)))
-            for name, row in custom_rows(board, parameters).items()
+            for group, name, row in given_rows(board, parameters)
             if 'ros_type' in row and row.get('direction') != 'to_board']
 
 

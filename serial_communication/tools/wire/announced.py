@@ -2,9 +2,8 @@
 import struct
 from typing import Any, Iterable, List, Optional, Tuple
 
-from ...boards.description import Numbering
 from ...framing.announcement import TYPE, Assembly, Chunk, read_announcement
-from ...framing.custom_messages import RowError
+from ...framing.rows import Kind, RowError
 from ...framing.stream import Frame
 from .lines import Settings
 
@@ -31,26 +30,26 @@ class Learner:
         except ValueError:
             return []       # too long
         board, parameters = self.line.board, dict(self._configured)
-        if text is None or board.custom is None:
+        if text is None or not board.groups:
             return []
         for name, row in read_announcement(text).rows.items():
-            custom = board.rows_of(row) or board.custom
-            rows = parameters.get(custom.parameter) or {}
+            group = board.group_of(row)
+            rows = parameters.get(group.parameter) or {}
             if name not in rows:
                 try:
-                    custom.read({**rows, name: row})
-                    parameters[custom.parameter] = {**rows, name: row}
+                    board.read(group.parameter, {**rows, name: row})
+                    parameters[group.parameter] = {**rows, name: row}
                 except RowError:
                     pass    # the bridge leaves it out, too
         self.line = self.line._replace(parameters=parameters)
-        return [each for custom in (board.custom, board.settings) if custom
-                for each in custom.read(parameters.get(custom.parameter) or {})]
+        return board.read_all(parameters)
 
     def _chunk(self, sent: bool, frame: Frame) -> Optional[Chunk]:
         if frame.cause:
             return None
         asked, self._asked = self._asked, (
-            sent and self.line.board.numbering is Numbering.FUNCTION and frame.number == TYPE)
+            sent and frame.number == TYPE and any(
+                Kind.FUNCTION in group.kinds for group in self.line.board.groups))
         if isinstance(frame.message, Chunk):
             return frame.message
         try:

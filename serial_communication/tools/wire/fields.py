@@ -69,9 +69,8 @@ class Explainer:
         self._sent = sent
         self._has_cmd2 = sent or bool(line.parameters.get('reply_has_cmd2'))
         self._functions: Dict[Any, Any] = {}       # of the bus
-        custom = line.board.custom
-        if custom and isinstance(self.decoder, (bus.RequestDecoder, bus.ReplyDecoder)):
-            rows = custom.read(line.parameters.get(custom.parameter) or {})
+        if isinstance(self.decoder, (bus.RequestDecoder, bus.ReplyDecoder)):
+            rows = line.board.read_all(line.parameters)
             self._functions = {**bus.BUILT_IN, **{(row.cmd1, row.cmd2): row for row in rows}}
 
     def parts(self, raw: bytes, request: Any = None) -> List[Part]:

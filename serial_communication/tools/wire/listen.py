@@ -19,9 +19,9 @@ import time
 from datetime import datetime
 from typing import Any, Optional
 
-from ...framing.custom_messages import CustomMessage
 from ...framing.frame_timer import FrameTimer
-from ...framing.settings import Setting, message_of
+from ...framing.rows import Kind
+from ...framing.settings import message_of
 from ...framing.stream import Frame
 from ...transport.port import Port, PortError
 from . import lines
@@ -120,9 +120,9 @@ class _Listener:
     def _learn(self, decoder: Any, frame: Frame) -> None:
         """Make the decoder know what the board announces."""
         rows = self._learner.take(False, frame)
-        settings = [row for row in rows if isinstance(row, Setting)]
+        settings = [row for row in rows if row.kind is Kind.SETTING]
         for row in rows:
-            if isinstance(row, CustomMessage) and not row.is_command:
-                decoder.add_message(row.kind)
+            if row.kind is Kind.FROM:
+                decoder.add_message(row.message)
         if settings:
             decoder.add_message(message_of(settings))

@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 from protocol_cases import (BOARD_BUS, BUS, BUS_CMD2, DecoderKind, check_case, check_rejected,
                             decode, hexed, vectors)
 from serial_communication.boards.bus import DESCRIPTION, wire as bus
-from serial_communication.boards.bus.functions import read_functions
-from serial_communication.boards.bus.messages import by_number
-from serial_communication.framing.custom_messages import RowError
+from serial_communication.framing.rows import RowError
 from serial_communication.framing.stream import CHECKSUM, FRAMING
 
 VECTORS = vectors('robot_ctrl_bus')
@@ -62,12 +60,12 @@ def test_default_request_helpers_make_the_documented_frames():
 
 
 @pytest.mark.parametrize('build, direction, amount, text', [
-    (bus.lift, 2, 10, 'lift: direction is 2, may be 0 (up), 1 (down)'),
+    (bus.lift, 2, 10, 'lift: direction is 2, out of range (0 … 1)'),
     (bus.lift, -1, 10, 'direction is -1'),
-    (bus.lift, 0, 256, 'lift: distance is 256 mm, may be 0 to 255'),
+    (bus.lift, 0, 256, 'distance is 256, which its place (B) cannot hold'),
     (bus.lift, 0, -1, 'distance is -1'),
-    (bus.gimbal, 4, 10, 'gimbal: direction is 4, may be 0 (left), 1 (right), 2 (up), 3 (down)'),
-    (bus.gimbal, 3, 256, 'gimbal: angle is 256 degrees, may be 0 to 255'),
+    (bus.gimbal, 4, 10, 'gimbal: direction is 4, out of range (0 … 3)'),
+    (bus.gimbal, 3, 256, 'angle is 256, which its place (B) cannot hold'),
 ])
 def test_moves_out_of_range_are_refused_with_the_range(build, direction, amount, text):
     with pytest.raises(ValueError) as refusal:
@@ -194,23 +192,12 @@ def test_texts_of_messages(message, text):
 
 # -- functions -----------------------------------------------------------------------------------
 
-@pytest.mark.parametrize('changes', [{'cmd2': bus.LIFT}, {'name': 'gimbal'}, {'service': '~lift'}],
-                         ids=str)
-def test_a_number_name_or_service_that_two_functions_have_is_found(changes):
-    pump = bus.Function('pump', 0x30, service='~pump')._replace(**changes)
-    with pytest.raises(ValueError, match='lift|gimbal|pump'):
-        by_number((bus.LIFT_FUNCTION, bus.GIMBAL_FUNCTION, pump))
-
-
 @pytest.mark.parametrize('function', bus.BUILT_IN.values(), ids=lambda function: function.name)
 def test_no_row_may_take_what_a_built_in_function_has(function):
     if function.cmd1 == bus.FUNCTION:
         row = {'cmd2': function.cmd2, 'srv_type': 'std_srvs/Trigger'}
-        with pytest.raises(RowError, match='from 0 to 254 but 32, 33 and 34'):
-            read_functions({'a': row})
-    described = {service.name: service.type for service in DESCRIPTION.services}
-    assert function.service in ('', *DESCRIPTION.names)
-    assert described.get(function.service, function.srv_type) == function.srv_type
+        with pytest.raises(RowError, match='from 0 to 254 but 32, 33, 34'):
+            DESCRIPTION.read('functions', {'a': row})
 
 
 def test_a_move_is_described_by_its_function():

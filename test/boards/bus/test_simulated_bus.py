@@ -5,15 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from simulation_bench import Bench
 
-from serial_communication.boards.bus.functions import read_functions
+from board_rows import functions
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.simulator import ControlBoard
 
 SYNC = bus.encode_request(bus.SYNC_REQUEST)
 LIFT_10 = bus.encode_request(bus.lift(0, 10))
 STOP = bus.Request(bus.FUNCTION, 0x2F)
-STOPS = read_functions({'halt': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True,
-                                 'interrupts': True}})
+STOPS = functions({'halt': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True,
+                            'interrupts': True}})
 
 
 def make(synchronised=True, **arguments):

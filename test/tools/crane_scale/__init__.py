@@ -1,19 +1,16 @@
 """A board of another package, for the tests of `wire`: a crane scale."""
-from serial_communication.boards.description import CustomRows, Description, Heartbeat
-from serial_communication.framing.custom_messages import read_messages
+from serial_communication.boards.description import Description, Heartbeat
+from serial_communication.framing.row_reader import Group
+from serial_communication.framing.rows import Kind
 
 from . import wire
 
 
-def custom_messages(entries):
-    """Return the messages of ``scale/messages``."""
-    return read_messages(entries, 'scale/messages', range(3, 16), 8)
-
-
 def _decoder(sent, parameters):
-    return wire.Decoder([each.kind for each in custom_messages(parameters.get('messages') or {})])
+    return wire.Decoder([row.message for row in DESCRIPTION.read_all(parameters)])
 
 
 DESCRIPTION = Description(
-    'scale', __name__, _decoder, custom=CustomRows('messages', custom_messages, 'scale/'),
+    'scale', __name__, _decoder,
+    groups=(Group('messages', 'scale/', (Kind.FROM,), range(3, 16), 8),),
     heartbeat=Heartbeat(wire.Hold.TYPE, longest_gap=0.2), baud=9600, between=b'\n')

@@ -1,0 +1,318 @@
+"""The rows of a board in ROS: topics, subscriptions, services, polls and settings.
+
+`Binder.sync` makes and takes down what changed: at the start, and with each announcement. After the
+start all of that happens in the thread of one LatestWorker for all links, since rospy and the
+master may take any time.
+"""
+import threading
+from functools import partial
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence
+
+import rospy
+
+from ..boards.description import ANNOUNCED, Description
+from ..framing.announcement import read_announcement
+from ..framing.rows import FILE, Kind, RowError, Setting, refuse_second_number
+from ..link.link import Refused
+from ..link.outcome import NOT_SENT, Outcome
+from .answers import fill_response
+from .commands import CommandTopic
+from .geometry import FrameBroadcaster
+from .latest_worker import LatestWorker
+from .publishing import publisher, wanted
+from .rows import ODOMETRY, RosRow, resolve, rows_in
+from .settings import SettingsServer, set_parameter
+
+_LABEL = 100     # characters of a command's values in a warning
+_WAITING = 10    # commands that may wait
+
+
+class ValuePublisher:
+    """Publishes tuples of values as messages of one ROS type, while the topic has subscribers.
+
+    A message is left out if one of its values is "no value" and its field cannot be NaN. The pose
+    of a nav_msgs/Odometry is on /tf, too, if the parameters say so.
+
+    Args:
+        p: the parameters publish_tf and frame_prefix.
+    """
+
+    def __init__(self, ros_row: RosRow, p: Dict[str, Any]) -> None:
+        row, ros_class = ros_row.row, ros_row.ros_class
+        self._lock = threading.Lock()     # held while a message is published or the topic closed
+        self._topic = publisher(ros_row.name, ros_class)
+        self._fields = ros_row.fields
+        self._message = ros_row.fields.new()
+        self._has_header = ros_class._has_header
+        self._broadcaster: Any = None
+        if row.frame_id:
+            self._message.header.frame_id = p['frame_prefix'] + row.frame_id
+        if row.child_frame_id:
+            self._message.child_frame_id = p['frame_prefix'] + row.child_frame_id
+            if p['publish_tf'] and ros_class._type == ODOMETRY:
+                self._broadcaster = FrameBroadcaster(self._message.header.frame_id,
+                                                     self._message.child_frame_id)
+
+    def publish(self, values: Sequence, stamp: rospy.Time) -> None:
+        """Publish a message with these values; do nothing once it is closed."""
+        with self._lock:
+            topic, broadcaster = self._topic, self._broadcaster
+            if topic is None or not (wanted(topic) or broadcaster and broadcaster.is_wanted) \
+                    or self._fields.lacks(values):
+                return
+            message = self._fields.fill(self._message, values)
+            if self._has_header:
+                message.header.stamp = stamp
+            if wanted(topic):
+                topic.publish(message)
+            if broadcaster:
+                at, turn = message.pose.pose.position, message.pose.pose.orientation
+                broadcaster.send((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w), stamp)
+
+    def close(self) -> None:
+        """Unregister the topic; may be called from any thread, at any time."""
+        with self._lock:
+            topic, self._topic = self._topic, None
+        topic.unregister()
+        if self._broadcaster:
+            self._broadcaster.close()
+
+
+class _Made(NamedTuple):
+    """A row that is in use."""
+
+    ros_row: RosRow
+    take_down: Callable[[], None]
+
+
+class Binder:
+    """The rows of one board, built in, of the parameters, and announced.
+
+    Args:
+        link: of the board; what its rows need of it depends on their kinds.
+        p: its checked parameters, those of `row_parameters` among them, publish_tf and
+            frame_prefix; command_age, s, if it takes commands.
+    """
+
+    def __init__(self, board: Description, link: Any, p: Dict[str, Any]) -> None:
+        self.link = link
+        self._board = board
+        self._p = p
+        # Of the parameters and built in. They take precedence over announced ones.
+        self._fixed = [*(resolve(board, row) for row in board.rows), *rows_in(p)]
+        self._made: Dict[str, _Made] = {}                # by name
+        self._topics: Dict[Any, ValuePublisher] = {}     # by class of the message
+        self._names: Dict[str, str] = {}                 # see `serve`
+        self._said: Any = None       # the latest announcement, and what was said about it
+        self._update: Callable[[], None] = lambda: None
+
+    def serve(self, worker: LatestWorker, names: Dict[str, str], binders: Iterable['Binder'],
+              values: Dict[str, Any]) -> None:
+        """Make the rows of the start; those that the board announces follow in the worker's thread.
+
+        Args:
+            names: the resolved names of topics and services, and whose each is; for all links.
+            binders: all of them. A name that becomes free may be that of another board's row.
+            values: of settings, that are wanted at the start.
+
+        Raises:
+            ParameterError: a setting's value is not allowed.
+        """
+        self._names = names
+        if any(Kind.SETTING in group.kinds for group in self._board.groups):
+            SettingsServer(self.link, [each.row for each in self._fixed
+                                       if isinstance(each.row, Setting)], values, worker)
+        self.sync(self._fixed)
+        if not self._p['announcements']:
+            return
+
+        def update() -> None:
+            before = set(names)
+            rows = self.use(self.link.session.announcement.assembly.text or b'')
+            set_parameter(f'~{self.link.name}/{ANNOUNCED}', rows, self.link.log, worker, update)
+            if before - set(names):
+                for binder in binders:
+                    worker.submit(binder._update)
+
+        self._update = update
+        self.link.session.announcement.on_text = lambda text: worker.submit(update)
+
+    def publish(self, message: Any, stamp: rospy.Time) -> None:
+        """Publish a message of the board; do nothing if its row was just taken down."""
+        topic = self._topics.get(type(message))
+        if topic:
+            topic.publish(message, stamp)
+
+    def sync(self, rows: Iterable[RosRow]) -> None:
+        """Have exactly these rows in ROS. Nobody notices it of one that is there already."""
+        rows_by_name = {each.name: each for each in rows}
+        for name, made in list(self._made.items()):
+            if name not in rows_by_name or rows_by_name[name].row != made.ros_row.row:
+                del self._made[name], self._names[rospy.resolve_name(name)]
+                made.take_down()
+        for name, each in rows_by_name.items():
+            if name not in self._made:
+                self._made[name] = _Made(each, self._make(each))
+                self._names[rospy.resolve_name(name)] = each.row.key or name
+
+    # -- announcements -------------------------------------------------------------------------
+
+    def use(self, text: bytes) -> Dict[str, Any]:
+        """Use the rows that the board announces; return those that may be, as they are given."""
+        announcement, announced = read_announcement(text), self.link.session.announcement
+        said = list(announcement.problems)
+        accepted = self._accepted(announcement.rows, said)
+        kept = [each for each in accepted if each.name in self._made
+                and self._made[each.name].ros_row.row == each.row]
+        self.sync(self._fixed + kept)
+        announced.use(text, announcement.firmware, [each.row.name for each in kept])
+        for each in [each for each in accepted if each not in kept]:
+            try:
+                self.sync(self._fixed + kept + [each])
+                kept.append(each)
+            except Exception as error:  # pylint: disable=broad-except
+                # rospy passes on what its master, or another server at its address, answers.
+                said.append(f'the announced row {each.row.name} is left out: {error}')
+        names = [each.row.name for each in accepted if each in kept]
+        announced.use(text, announcement.firmware, names)
+        firmware = f' (firmware {announcement.firmware})' if announcement.firmware else ''
+        said.append(f'announces {", ".join(names) or "nothing"}{firmware}')
+        if (text, said) != self._said and not rospy.is_shutdown():
+            for line in said[:-1]:
+                self.link.log.always_warn(line)
+            self.link.log.always_info(said[-1])
+        self._said = text, said
+        return {name: announcement.rows[name] for name in names}
+
+    def _accepted(self, given: Dict[str, Any], said: List[str]) -> List[RosRow]:
+        """The rows that may be used; why the others may not is added to `said`."""
+        accepted: List[RosRow] = []
+        for name in given:
+            try:
+                row = self._board.read_announced(name, given[name])
+                other = next((each.row for each in self._fixed if each.row.origin == FILE and (
+                    each.name == self._board.name_of(row) or
+                    (each.row.number_key, each.row.number) == (row.number_key, row.number))), None)
+                if other is None:
+                    refuse_second_number(row, [each.row for each in accepted])
+                    user = self._names.get(rospy.resolve_name(self._board.name_of(row)), row.key)
+                    if user != row.key:
+                        raise RowError(row.key, name, f'has the name of {user}')
+                    accepted.append(resolve(self._board, row))
+                elif other != row:
+                    same = 'name' if other.name == name else row.number_key
+                    said.append(f'the announced row {name} is left out: the parameter {other.key} '
+                                f'has the same {same}, differs, and takes precedence')
+            except RowError as error:
+                said.append(f'an announced row is left out: {error}')
+        return accepted
+
+    # -- one row: each returns what takes it down ------------------------------------------------
+
+    def _make(self, ros_row: RosRow) -> Callable[[], None]:
+        row, link = ros_row.row, self.link
+        if row.kind is Kind.SETTING:
+            return link.session.board_settings.add(row)
+        if row.kind is Kind.TO:
+            return self._take_commands(ros_row)
+        if row.kind is Kind.FUNCTION:
+            return self._poll(ros_row) if row.period else self._offer(ros_row)
+        topic = self._topics[row.message] = ValuePublisher(ros_row, self._p)
+        link.session.decoder.add_message(row.message)
+
+        def take_down() -> None:
+            link.session.decoder.remove_message(row.message)
+            del self._topics[row.message]
+            topic.close()
+
+        return take_down
+
+    def _take_commands(self, ros_row: RosRow) -> Callable[[], None]:
+        """Subscribe to commands; one that cannot be sent is refused with a warning."""
+        row, link = ros_row.row, self.link
+        zero = row.zero if row.motion else None
+
+        def values_of(message: Any) -> Sequence:
+            values = ros_row.fields.read(message)
+            if not row.motion:
+                return values
+            values, why = row.saturated(values)
+            if why:
+                link.log.warn(f'{row.name} saturated', why)
+            return values
+
+        topic = CommandTopic(
+            ros_row.name, ros_row.ros_class, lambda message, stamp: link.writer.submit(
+                row.message(*values_of(message)), stamp),
+            lambda message: str(ros_row.read(message))[:_LABEL], link.log,
+            self._p['command_age'], queue_size=1 if row.newest else _WAITING,
+            stops=lambda message: zero is not None and tuple(values_of(message)) == tuple(zero))
+        if zero is None:
+            return topic.close
+        link.session.add_motion(zero)
+
+        def take_down() -> None:
+            topic.close()
+            link.writer.write(partial(link.session.remove_motion, zero))
+
+        return take_down
+
+    def _poll(self, ros_row: RosRow) -> Callable[[], None]:
+        """Call a function with a period, and publish its replies."""
+        topic = ValuePublisher(ros_row, self._p)
+        poller = self.link.session.polls.add(
+            ros_row.row, ros_row.row.period,
+            lambda outcome: topic.publish(_values(ros_row, outcome), outcome.stamp))
+
+        def take_down() -> None:
+            self.link.session.polls.remove(poller)
+            topic.close()
+
+        return take_down
+
+    def _offer(self, ros_row: RosRow) -> Callable[[], None]:
+        """Offer a function as a service."""
+        row, link = ros_row.row, self.link
+        fields: Any = ros_row.request
+        stop = (ros_row.stop_request(), row) if row.interrupts else None
+
+        def handle(ros_request: Any) -> Any:
+            try:
+                if row.announced:
+                    link.session.announcement.refuse_unless_current(row.name)
+                values = fields.read(ros_request)
+            except (ValueError, Refused) as error:
+                outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
+            else:
+                outcome = link.call(row, values)
+            response = fill_response(ros_row.fields.new(), outcome)
+            if outcome.success:
+                ros_row.fields.fill(response, _values(ros_row, outcome))
+            return response
+
+        service = rospy.Service(ros_row.name, ros_row.ros_class, handle)
+        if stop:
+            link.session.stops.append(stop)
+
+        def take_down() -> None:
+            link.session.stops = [each for each in link.session.stops if each is not stop]
+            service.shutdown('the board announces it no longer')
+
+        return take_down
+
+
+def _values(ros_row: RosRow, outcome: Outcome) -> Sequence:
+    """The values of an OK. Data that is not expected is left out."""
+    reply = ros_row.row.reply
+    return () if reply.is_empty else reply.unpack(outcome.data)
+
+
+def forget_announced(given: Dict[str, Any], boards: Iterable[str]) -> None:
+    """Delete the rows that these boards announced before the node started.
+
+    Args:
+        given: the node's parameters.
+    """
+    for board in boards:
+        if given.get(board, {}).pop(ANNOUNCED, None) is not None:
+            rospy.delete_param(f'~{board}/{ANNOUNCED}')

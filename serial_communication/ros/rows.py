@@ -1,0 +1,109 @@
+"""Rows with their ROS types and fields.
+
+These are resolved while the parameters are checked. So a mistake in a row ends the node before it
+has registered anything or opened a port.
+"""
+from dataclasses import replace
+from functools import partial
+from typing import Any, Dict, List, NamedTuple, Optional
+
+from ..boards.description import Description
+from ..framing.layout import LayoutMessage
+from ..framing.rows import Kind, Row, RowError
+from .fields import RosFields, find_type
+from .parameter import Parameter, Parameters
+
+ODOMETRY = 'nav_msgs/Odometry'
+
+
+class RosRow(NamedTuple):
+    """A row in ROS; its layouts have the limits of the ROS fields, too."""
+
+    row: Row
+    name: str                       # of the topic, service or parameter, relative to the node
+    ros_class: Any = None           # of the messages or the service; None: of a setting
+    fields: Any = None              # RosFields of the message, or of the service's response
+    request: Optional[RosFields] = None     # of a service's request
+
+    def read(self, message: Any) -> LayoutMessage:
+        """What is sent to the board for a ROS message; ValueError for a value out of range."""
+        return self.row.message(*self.fields.read(message))
+
+    def stop_request(self) -> Any:
+        """The request with every field 0, which ~stop sends; ValueError if that is out of range."""
+        row: Any = self.row
+        assert self.request
+        return row.make_request(self.request.read(self.ros_class._request_class()))
+
+
+def row_parameters(board: Description, announcements: bool = True) -> Parameters:
+    """The parameters with a board's rows, and the one that says whether it may announce some.
+
+    Args:
+        announcements: its default.
+    """
+    return {'announcements': Parameter(announcements), **{
+        group.parameter: Parameter({}, parse=partial(read_rows, board, group.parameter))
+        for group in board.groups}}
+
+
+def read_rows(board: Description, parameter: str, given: Any) -> List[RosRow]:
+    """The rows in one of a board's parameters; RowError for the first mistake."""
+    return [resolve(board, row) for row in board.read(parameter, given)]
+
+
+def rows_in(parameters: Dict[str, Any]) -> List[RosRow]:
+    """All rows in the checked parameters of a board."""
+    return [each for value in parameters.values() if isinstance(value, list)
+            for each in value if isinstance(each, RosRow)]
+
+
+def resolve(board: Description, row: Row) -> RosRow:
+    """A row with its ROS types; RowError for a mistake."""
+    name, key = board.name_of(row), row.key
+    if row.kind is Kind.SETTING:
+        return RosRow(row, name)
+    if row.kind is Kind.FUNCTION and not row.period:
+        return _service(row, name)
+    found = find_type(f'{key}/ros_type', row.ros_type)
+    _check_frame_ids(row, found)
+    layout, paths = (row.reply, 'reply/fields') if row.kind is Kind.FUNCTION else \
+        (row.layout, 'fields')
+    fields = RosFields(found, layout, f'{key}/{paths}', row.constants, f'{key}/constants')
+    narrowed = fields.narrowed(layout)
+    if row.kind is Kind.FUNCTION:
+        row = replace(row, reply=narrowed)
+    elif row.kind is Kind.FROM and narrowed is not layout:
+        row = replace(row, layout=narrowed, message=type(row.name, (row.message,), {
+            '__slots__': (), 'LAYOUT': narrowed}))
+    return RosRow(row, name, found, fields)
+
+
+def _service(row: Row, name: str) -> RosRow:
+    key = row.key
+    found = find_type(f'{key}/srv_type', row.ros_type, 'srv')
+    request = RosFields(found._request_class, row.layout, f'{key}/request/fields')
+    reply = RosFields(found._response_class, row.reply, f'{key}/reply/fields')
+    for value in map(row.reply.values.__getitem__, reply.without_nan):
+        raise RowError(f'{key}/reply/invalid', value.invalid, f'needs a float field, but '
+                       f'{value.name} is none, and a response cannot be left out')
+    made = RosRow(replace(row, reply=reply.narrowed(row.reply)), name, found, reply, request)
+    if row.interrupts:
+        try:
+            made.stop_request()
+        except ValueError as error:
+            raise RowError(f'{key}/interrupts', True, 'needs a request that allows 0 in every '
+                           f'field: {error}') from None
+    return made
+
+
+def _check_frame_ids(row: Row, found: Any) -> None:
+    """Raise RowError if a row has a frame id, but its ROS type has no field for it."""
+    if row.frame_id and not found._has_header:
+        raise RowError(f'{row.key}/frame_id', row.frame_id,
+                       f'needs a type with a header, {found._type} has none')
+    if row.child_frame_id and 'child_frame_id' not in found.__slots__:
+        raise RowError(f'{row.key}/child_frame_id', row.child_frame_id,
+                       f'needs a type with child_frame_id, as {ODOMETRY}; {found._type} has none')
+    if row.child_frame_id and 'child_frame_id' in row.constants:
+        raise RowError(f'{row.key}/constants', 'child_frame_id', 'is a key of the row, too')

@@ -1,0 +1,46 @@
+"""Links of the built-in boards with their sessions, for tests."""
+import logging
+
+from serial_communication.boards.arduino import wire
+from serial_communication.boards.arduino.session import CarOptions, CarSession
+from serial_communication.boards.mcu.session import SensorSession
+from serial_communication.link.link import Link
+from serial_communication.link.sparing_log import SparingLog
+from serial_communication.transport.pace import clock
+
+_LOGGER = logging.getLogger(__name__)
+_OF_LINK = 'frame_timeout', 'clock', 'earlier', 'board_time'
+
+
+class ArduinoLink(Link):
+    """A link to the car; the arguments are those of `CarSession` and `Link`."""
+
+    def __init__(self, port, options=CarOptions(), logger=_LOGGER, now=clock, messages=(),
+                 **arguments):
+        of_link = {name: arguments.pop(name) for name in _OF_LINK if name in arguments}
+        super().__init__(port, CarSession(
+            SparingLog('arduino', logger, clock=now), options, byte_time=10.0 / port.baud, now=now,
+            **arguments), now=now, **of_link)
+        for message in messages:
+            self.session.decoder.add_message(message)
+
+    def command(self, message):
+        self.writer.submit(message)
+
+    def set_speed(self, value):
+        self.command(wire.SpeedCommand(value))
+
+    def set_steering(self, value):
+        self.command(wire.SteeringCommand(value))
+
+    def set_led(self, text):
+        self.command(wire.LedCommand(text))
+
+
+class McuLink(Link):
+    """A link to the sensor board; likewise."""
+
+    def __init__(self, port, logger=_LOGGER, now=clock, **arguments):
+        of_link = {name: arguments.pop(name) for name in _OF_LINK if name in arguments}
+        super().__init__(port, SensorSession(SparingLog('mcu', logger, clock=now), now=now,
+                                             **arguments), now=now, **of_link)
