@@ -3,8 +3,8 @@ import threading
 import time
 
 from boards import until
-from serial_communication.boards.arduino import wire
 from links import ArduinoLink
+from serial_communication.boards.arduino import wire
 from serial_communication.boards.arduino.simulator import ModelCar
 from serial_communication.simulation.board import Runner
 from serial_communication.simulation.faults import Faults, parse

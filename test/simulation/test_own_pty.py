@@ -72,8 +72,7 @@ def test_a_link_of_the_bridge_opens_it_again_and_again(link):
         for distance in 10, 20:
             bridge = BusLink(Port(link))
             bridge.start()
-            until(lambda: bridge.session.master.in_step, 'SYNC')
-            assert bridge.lift(0, distance).success
+            until(lambda: bridge.request(bus.lift(0, distance)).success, 'SYNC, and a move')
             bridge.stop()
             bridge.join(PATIENCE)
 
