@@ -210,8 +210,8 @@ class Link:
         if self.writer.drops_input:
             self.writer.drops_input = False
             receiver.reset()
-        has_come = receiver.take(data, stamp, now, 
-                                is_old=now < self._publishes_at and not session.FENCED)
+        has_come = receiver.take(data, stamp, now,
+                                 is_old=now < self._publishes_at and not session.FENCED)
         if data:
             self.writer.is_silent = False
         if not has_come or now >= self._look_at:

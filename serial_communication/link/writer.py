@@ -71,7 +71,7 @@ class Writer:
         if not may_be_old and self.is_silent:
             raise Refused('the board is silent, so the other side of the pseudo terminal may hold '
                           'it back', 'silent')
-        if self.output.stands:
+        if self.output.stands and not self._session.FENCED:     # whose requests wait anyway
             raise Refused('the port takes no data', 'busy')
 
     def opened(self, now: float) -> None:
@@ -169,9 +169,11 @@ class Writer:
             try:
                 if stall:
                     self.begin_anew(f'the bridge stalled for {stall:.3g} s', keeps_input=True)
-                packets, due = self._session.beat(now)
-                if self._port.is_usable and not self.has_ended:
+                is_usable = self._port.is_usable and not self.has_ended
+                if is_usable:
                     self.check_output(now)
+                packets, due = self._session.beat(now)      # after a doubt zeros come first
+                if is_usable:
                     self.transmit(packets, now)
             except Refused:
                 pass        # the link's thread gets it, too, and logs it

@@ -14,7 +14,7 @@ from board_ends import (
 from compilers import ON_THE_AVR, PROTOCOL, run
 from emulated_board import FIRMWARE
 from serial_communication.framing.announcement import read_announcement
-from wheel import STEP, hold, response, rise, set_to, target
+from wheel import hold, set_to, target
 
 NUMBERS = [1, 2, 3, 4, 5, 200]      # those of library_cases.cpp, in the order of their table
 

@@ -164,7 +164,7 @@ def test_a_step_of_the_clock_of_the_stamps_changes_no_difference(car):
     car.now += PERIOD
     for step in 0.0, -3600.0, 1e9:
         car.link.receiver.take(car.time(1) + arduino.encode(arduino.Ticks(1)),
-                                     car.now + 0.02 + step, car.now + 0.02)
+                               car.now + 0.02 + step, car.now + 0.02)
         assert car.got[-1][1] == pytest.approx(car.now + step + DELAY, abs=2e-3)
         car.now += PERIOD
 

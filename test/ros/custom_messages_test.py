@@ -23,7 +23,6 @@ from boards import (NOT_SENT, PACKAGE, BusBoard, CarBoard, SensorBoard, Topic, W
                     again_if_stalled, level_imu, plug, service, until, until_in_step)
 from serial_communication.msg import SerialMsg
 from serial_communication.framing import announcement, cobs
-from serial_communication.boards import descriptions
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.tools.watch.calls import Verdict, read_error, read_response

@@ -98,7 +98,8 @@ class Robot:
         else:
             self.link = BusLink(
                 port, BusSettings(**parameters), on_environment=self._publish,
-                nonce=lambda: bytes(world.random.choices(range(256), k=4)), logger=self, **clocks)   # type: ignore[arg-type]
+                nonce=lambda: bytes(world.random.choices(range(256), k=4)),
+                logger=self, **clocks)   # type: ignore[arg-type]
         self.loops = [Loop(world, step) for step in self.link.loops()]
         port.wake = device.on_input = self.loops[0].wake    # type: ignore[method-assign]
         if is_tapped:
@@ -118,8 +119,8 @@ class Robot:
         link, made = self.link, self._made
         if self.kind == 'bus':
             self.functions = {each.name: each for each in read_functions(rows, origin)}
-            link.session.stops = [(each.make_request(()), each) for each in self.functions.values()
-                          if each.interrupts]
+            link.session.stops = [(each.make_request(()), each)
+                                  for each in self.functions.values() if each.interrupts]
             return
         for row in read_rows(rows, origin):
             if row.kind is Kind.SETTING:

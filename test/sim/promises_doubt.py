@@ -18,7 +18,12 @@ def _drives(e: Evidence) -> bool:
 
 def _stalls(e: Evidence, loop: int = 0) -> Iterator[Interval]:
     """The stalls of a loop in which the port was open, and stayed so."""
+    # Where it is suspended in a write, it has run at the end of the stall before.
+    wrote = {chunk.time for chunk in e.story.device.bridge_wrote}
     for begin, end in longer(merged(e.stalls[loop]), 0.55):
+        if any(begin < each < end and any(abs(each - time) < 1e-6 for time in wrote)
+               for _, each in e.stalls[loop]):
+            continue
         opened, closed = e.opening_of(begin)
         if opened < begin and end < closed:
             yield begin, end
@@ -251,7 +256,8 @@ def short_stalls_lose_nothing(e: Evidence) -> Verdicts:
     counted = e.story.counted
     stalls = longer(merged(e.stalls[0] + e.stalls[-1], 0.11), 0.38)
     for (last, before, *_), (time, report, *_) in zip(counted, counted[1:]):
-        if not overlaps(stalls, last, time, 0.7):
+        if not overlaps(stalls, last, time, 0.7) and not any(
+                last <= each <= time for each in e.story.device.flushes):
             more = report['stale'] - before['stale']
             yield 1, '' if not more else f'{more} bytes are stale at {time:.3f}'
     for command in e.story.commands:

@@ -61,11 +61,11 @@ class ArduinoInterface(Interface):
         self._frame_id = p['imu_frame_id']
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
         self._calibrating.publish(False)
+        options = CarOptions(**{name: p[name] for name in CarOptions._fields})
         session = CarSession(
-            link_options.log(self.NAME),
-            CarOptions(**{name: p[name] for name in CarOptions._fields}),
-            on_message=self._received, on_log=self._log,
-            on_calibrating=lambda on: self._calibrating.publish(on), byte_time=10.0 / p['baud'])
+            link_options.log(self.NAME), options, on_message=self._received,
+            on_log=self._log, on_calibrating=lambda on: self._calibrating.publish(on),
+            byte_time=10.0 / p['baud'])
         self.link = link_options.link(Port(p['port'], p['baud'], p['reset_on_open']), session,
                                       p['board_time'])
         self.binder = Binder(DESCRIPTION, self.link, p)

@@ -82,8 +82,8 @@ class McuInterface(Interface):
                                          *message)
             return
         if wanted(self._status):
-            self._status.publish(stamp, seq, True, message.valid, self._session.checksum_errors,
-                                 age, *message)
+            self._status.publish(stamp, seq, True, message.valid,
+                                 self._session.checksum_errors, age, *message)
         for (topic, out), millimetres in zip(self._ranges, message[:2]):
             if wanted(topic):
                 out.header.stamp = stamp
