@@ -4,16 +4,20 @@ import json
 import logging
 import os
 import signal
+import socket
 import sys
 import time
+from contextlib import suppress
 from functools import partial
 from typing import Any, Dict, Tuple
 
 import rospy
+from rospy.impl import tcpros_base
 from std_srvs.srv import Trigger
 
 from serial_communication.srv import Release
 
+from ..boards import BOARDS
 from ..boards.description import ANNOUNCED
 from ..link.link import Link
 from ..link.outcome import Refused
@@ -117,6 +121,8 @@ def _given() -> Any:
     before = os.environ.pop(_PARAMETERS, '')
     if before:      # a new master does not have them
         rospy.set_param('~', json.loads(before))
+    for name in set(starting.empty_ports()) & set(BOARDS):
+        rospy.set_param(f'~{name}/port', '')
     return rospy.get_param('~', {})
 
 
@@ -144,6 +150,13 @@ def _offer_lending(link: Link) -> None:
 
     rospy.Service(f'~{link.name}/release', Release, release)
     rospy.Service(f'~{link.name}/reset', Trigger, reset)
+
+
+def _accept_all_calls() -> None:
+    """Let all calls wait that come during a stall. rospy lets six wait, and the others' callers try
+    again seconds later, when a call looks new."""
+    with suppress(AttributeError, OSError):     # a private part of rospy; closed as the node ends
+        tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(socket.SOMAXCONN)
 
 
 class Bridge:
@@ -195,6 +208,7 @@ class Bridge:
         for interface in self._interfaces:
             interface.advertise()
             _offer_lending(interface.link)
+        _accept_all_calls()
         self._worker.start()
         self._diagnostics.start()
 

@@ -3,6 +3,8 @@ import argparse
 import os
 import re
 import threading
+from contextlib import suppress
+from pathlib import Path
 from typing import List
 
 NAME_TAKEN = 3            # exit status if a node of the same name is running
@@ -32,3 +34,16 @@ def end_within(seconds: float, status: int) -> None:
     timer = threading.Timer(seconds, os._exit, [status])
     timer.daemon = True
     timer.start()
+
+
+def empty_ports() -> List[str]:
+    """Return the name of each link that an argument such as ``mcu_port:=`` turned off.
+
+    roslaunch drops an argument without a value, so its launch file cannot see it. Here it is read
+    from the command line of the roslaunch above this process, if that started bridge.launch.
+    """
+    with suppress(OSError, ValueError):
+        words = Path(f'/proc/{os.getppid()}/cmdline').read_text().split('\0')
+        if any(os.path.basename(word) == 'bridge.launch' for word in words):
+            return [word[:-len('_port:=')] for word in words if word.endswith('_port:=')]
+    return []

@@ -53,6 +53,7 @@ class Device:
         self.openings: List[float] = []
         self.closings: List[float] = []
         self.flushes: List[float] = []          # of the output
+        self.drops: List[float] = []            # likewise, with the input
         self.restorations: List[float] = []     # of the settings
         self.damage_sent = self.damage_received = Damage()
         self.hold = 0.0              # s; an adapter delivers input only every so often
@@ -151,6 +152,7 @@ class Device:
             self.restorations.append(self._world.clock())
         if keeps_input or self.kind == 'network':
             return 0
+        self.drops.append(self._world.clock())
         dropped, self._input = len(self._input), b''
         return dropped
 

@@ -45,7 +45,7 @@ class Evidence:
         starts = [opened for opened, _ in self.openings]
         self.wrote = decoded(device.bridge_wrote, sent_at, starts)
         if self.kind != 'bus':      # a doubt begins with the next byte
-            starts = sorted(starts + [each + 1e-9 for each in device.flushes])
+            starts = sorted(starts + [each + 1e-9 for each in device.drops])
         self.read = decoded(device.bridge_read, read_at, starts)
         # Those that a decoder may find, whatever it gives up, and when.
         self.readable = decoded(device.bridge_read, read_at, starts, anywhere=True)

@@ -347,7 +347,8 @@ def calibrations_end(e: Evidence) -> Verdicts:
     """A calibration ends with IMU data after a silence of 2 s, or after 5 s of data that goes on,
     its timeout, or a reset; and not later."""
     robot, limit = e.story.robot, e.story.parameters['calibration_timeout']
-    imu = [frame for frame in e.of_type(e.read, IMU) if len(frame.data) == 22]
+    imu = [frame for frame in e.of_type(e.read, IMU)
+           if len(frame.data) == 22 and not implausible(frame)]
     resets = [asked for asked, _, name, _ in e.story.tasks if name == 'reset']
     stalls = longer(merged(e.stalls[0]), 0.5)
     starts = [time for time, on in robot.calibrating if on]

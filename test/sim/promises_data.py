@@ -196,7 +196,7 @@ def settings_are_sent(e: Evidence) -> Verdicts:
     if e.kind == 'bus' or e.story.announces:
         return
     wants: Dict[str, float] = {}
-    wrote, read = e.of_type(e.wrote, SETTING), e.of_type(e.read, SETTING)
+    wrote, read = e.of_type(e.wrote, SETTING), e.of_type(e.readable, SETTING)
     disturbed = e.stalls[0] + e.stalls[-1] + e.events('blocked', 'altered', 'unplugged', 'cut') + [
         (asked, until) for asked, until, _, _ in e.story.tasks] + e.events('silence')
     for index, (time, name, value) in enumerate(e.story.wants):
