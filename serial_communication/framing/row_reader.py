@@ -6,7 +6,7 @@ import re
 from math import inf, isnan, nan
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tuple
 
-from .layout import (BOARD_TIME, EMPTY, FRACTIONS, Layout, Value, count_values, message_class,
+from .layout import (BOARD_TIME, EMPTY, FRACTIONS, Layout, Value, message_class, places_of,
                      shortest)
 from .rows import BOARD, FILE, Kind, Row, RowError, refuse_second_number
 
@@ -242,12 +242,10 @@ class _Keys:
             raise self.error('fields', 'may be a list with the path of a field for each value, '
                              'as [vector.x, "", position[2]]')
         try:
-            count = count_values(layout, longest)
+            count = len(places_of(layout, longest)[2])
         except ValueError as error:
             raise self.error('layout', 'may be a format of Python\'s struct, as <hB: '
                              f'{error}') from None
-        if count is None:
-            raise self.error('layout', f'may have at most {longest} bytes')
         if len(paths) != count:
             raise self.error('fields', f'may be a list of {count}, one for each value of the '
                              f'layout {layout}')

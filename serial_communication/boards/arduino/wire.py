@@ -157,7 +157,7 @@ class Imu(LayoutMessage, namedtuple(
 
     def pack(self) -> bytes:
         """The 22 bytes; struct.error if a number does not fit an int16."""
-        return self.LAYOUT.pack_raw(self)
+        return struct.pack(self.LAYOUT.layout, *self)
 
     def orientation(self) -> Quaternion:
         """x, y, z, w."""

@@ -62,7 +62,7 @@ class SensorStatus(LayoutMessage, namedtuple(
         wrapped = [0, ANGLE_UNKNOWN, ANGLE_UNKNOWN] if not self.angles_known else [
             (round(angle * 100) + 0x8000) % 0x10000 - 0x8000
             for angle in (self.yaw, self.pitch, self.roll)]
-        return self.LAYOUT.pack_raw((self.range_1, self.range_2, *wrapped))
+        return struct.pack(self.LAYOUT.layout, self.range_1, self.range_2, *wrapped)
 
     @property
     def angles_known(self) -> bool:
