@@ -183,8 +183,9 @@ class Layout:
             low, high = value.limits
             is_wide = value.range[0] < least or value.range[1] > most \
                 or value.code in FRACTIONS and bool(field) and field not in FRACTIONS
-            if is_wide:      # what is rounded to `most` may be greater; a float of 2 ** 63 is not
-                low, high = max(low, least - 0.5), min(high, most if most > 2 ** 53 else most + 0.49)
+            if is_wide:      # what is rounded to `most` may be greater; a float of 2 ** 63 may not
+                low = max(low, least - 0.5)
+                high = min(high, most if most > 2 ** 53 else most + 0.49)
             if is_wide or value.is_limited:
                 self._limited.append((index, low, high,
                                       field in FRACTIONS and not value.is_limited))
