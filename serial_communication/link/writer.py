@@ -169,9 +169,11 @@ class Writer:
             try:
                 if stall:
                     self.begin_anew(f'the bridge stalled for {stall:.3g} s', keeps_input=True)
-                packets, due = self._session.beat(now)
-                if self._port.is_usable and not self.has_ended:
+                is_usable = self._port.is_usable and not self.has_ended
+                if is_usable:
                     self.check_output(now)
+                packets, due = self._session.beat(now)      # after a doubt zeros come first
+                if is_usable:
                     self.transmit(packets, now)
             except Refused:
                 pass        # the link's thread gets it, too, and logs it

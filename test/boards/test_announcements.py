@@ -90,51 +90,36 @@ class Questions:
     def __init__(self, log=None):
         self.asked = []
         self.question = announcement.AnnouncementReader(self._ask, Assembly(), log)
-        self.question.opened()
-        self.question.restart(0.0)
+        self.question.begin(0.0)
 
-    def _ask(self, index):
+    def _ask(self, index, now):
         self.asked.append(Call(bus.ANNOUNCEMENT.make_request((index,)), bus.ANNOUNCEMENT,
                                0.5, 1, 0.0))
         return self.asked[-1]
-
-    def pause(self, now, outcome):
-        """The outcome of a question at `now`; return when it is asked again."""
-        count = len(self.asked)
-        self.question.step(now)
-        assert len(self.asked) == count + 1
-        self.asked[-1].finish(outcome)
-        self.question.step(now)
-        for tenth in range(1000):
-            self.question.step(now + tenth / 10)
-            if len(self.asked) > count + 1:
-                del self.asked[-1]
-                self.question._call = None
-                return now + tenth / 10
-        return None
 
 
 @pytest.mark.parametrize('outcome', [
     Outcome(TIMEOUT, 'no reply'), Outcome(bus.INVALID, 'not synchronised', bus.NOT_SYNCHRONISED)],
     ids=('none', 'not synchronised'))
 def test_the_pauses_between_questions_grow(outcome, log):
-    questions = Questions(log)
-    now, pauses = 0.0, []
-    while now is not None:
-        after = questions.pause(now, outcome)
-        pauses.append(after and after - now)
-        now = after
-    assert pauses == pytest.approx([0.5, 1.0, 2.0, 4.0, 8.0, None])
-    questions.question.restart(100.0)       # a board that always replies that, and then SYNC
-    assert questions.question.step(107.9) is None and len(questions.asked) == 6
-    questions.question.step(108.0)
+    questions, asked_at = Questions(log), []
+    for tenth in range(1000):
+        questions.question.tick(tenth / 10)
+        if len(questions.asked) > len(asked_at):
+            asked_at.append(tenth / 10)
+            questions.asked[-1].finish(outcome)
+            questions.question.tick(tenth / 10)
+    assert asked_at == pytest.approx([0.0, 0.5, 1.5, 3.5, 7.5, 15.5])
+    questions.question.begin(100.0)       # a board that always replies that, and then SYNC
+    assert questions.question.tick(107.9) is None and len(questions.asked) == 6
+    questions.question.tick(108.0)
     assert len(questions.asked) == 7
 
 
 def answer(questions, chunks, most=1000):
     """Answer questions from these chunks until a text is known; return it."""
     for at in range(most):
-        text = questions.question.step(at / 10)
+        text = questions.question.tick(at / 10)
         if text is not None:
             return text
         call = questions.asked[-1]
@@ -149,9 +134,9 @@ def answer(questions, chunks, most=1000):
     Outcome(bus.ERROR, 'x', 0x8001), Outcome(bus.INVALID, 'x', 0x20)], ids=('error', 'invalid'))
 def test_a_refusal_means_that_nothing_is_announced(log, outcome):
     questions = Questions(log)
-    questions.question.step(0.0)
+    questions.question.tick(0.0)
     questions.asked[0].finish(outcome)
-    assert questions.question.step(0.1) == b'' and len(questions.asked) == 1
+    assert questions.question.tick(0.1) == b'' and len(questions.asked) == 1
 
 
 def test_a_bus_board_is_asked_for_each_chunk_once(log):

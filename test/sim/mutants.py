@@ -40,23 +40,23 @@ def _without_calibration(method: Callable, session: Any, *arguments: Any) -> Any
 
 MUTANTS: Dict[str, Mutant] = {
     'no fence before a call': Mutant(
-        'a fence precedes every call', 'boards.bus.master.Master', '_needs_fence', _returns(False)),
+        'a fence precedes every call', 'boards.bus.session.Channel', 'is_fenced', _returns(True)),
     'a move is sent again after a timeout': Mutant(
-        'a move is never sent again after a timeout', 'boards.bus.call.CallQueue', 'try_failed',
-        lambda _method: lambda self, call, outcome, now: self._again(call, outcome, now)),
+        'a move is never sent again after a timeout', 'boards.bus.call.Queue', 'again',
+        lambda _method: lambda self, call, *_, **__: self.waiting.insert(0, call)),
     'a stop waits for its turn': Mutant(
-        'a stop is sent at once', 'boards.bus.master.Master', '_interrupt', _nothing),
+        'a stop is sent at once', 'boards.bus.call.Queue', 'urgent', _nothing),
     'an old call is sent after a stall': Mutant(
         'a call is as old as a command', 'link.freshness.Freshness', 'is_fresh', _returns(True)),
     'a call outlives its port': Mutant(
-        'an outstanding call is not known when the port closes', 'boards.bus.link.BusLink',
-        'closed', _nothing),
+        'an outstanding call is not known when the port closes', 'boards.bus.master.Master',
+        'end', _nothing),
     'no SYNC after an opening': Mutant(
-        'SYNC comes first', 'boards.bus.session.Session', 'connected',
-        lambda _method: lambda self, now: setattr(
+        'SYNC comes first', 'boards.bus.session.Channel', 'begin',
+        lambda _method: lambda self: setattr(
             self, 'state', type(self.state).OUT_OF_STEP)),
     'moves while stopped': Mutant(
-        '~stop holds on the bus', 'boards.bus.link.BusLink', '_why_not', _returns('')),
+        '~stop holds on the bus', 'boards.bus.link.MasterSession', '_refuses', _returns('')),
     'the timeout of the speed is doubled': Mutant(
         'SPEED 0 after 0.5 s without a command', 'boards.arduino.motion.Motion', '__init__',
         lambda method: lambda self, zero, timeout: method(self, zero, 2 * timeout)),
@@ -115,15 +115,16 @@ MUTANTS: Dict[str, Mutant] = {
     'a call is given up behind another one': Mutant(
         'a call is not given up while it may be served', 'boards.bus.master.Master', '_timed_out',
         lambda method: lambda self, exchange, now: (
-            [self.calls.abandon(each, 'busy') for each in self.calls], method(
+            self.queue.end(lambda call: call.without_reply('busy')), method(
                 self, exchange, now))),
     'a call that was refused is not sent again': Mutant(
-        'a refused call is repeated', 'boards.bus.call.CallQueue', 'refused',
-        lambda method: lambda self, call, invalid, now: (
-            setattr(call, 'tries', 0), method(self, call, invalid, now))),
+        'a refused call is repeated', 'boards.bus.call.Queue', 'again',
+        lambda method: lambda self, call, now, told, refused=None: (
+            refused and setattr(call, 'tries', 0), method(self, call, now, told, refused))),
     'polls pile up': Mutant(
-        'polls do not pile up', 'boards.bus.polls.Poller', 'tick', lambda _method:
-            lambda self, now: self.pace.passed(now) and self._submit()),
+        'polls do not pile up', 'boards.bus.polls.Polls', 'tick', lambda method:
+            lambda self, now, is_announced: ([setattr(each, 'latest', None) for each in
+                                              self._pollers], method(self, now, is_announced))[1]),
     'a silence of 1 s ends a calibration': Mutant(
         'a calibration ends after a silence of 2 s', 'boards.arduino.calibration.Calibration',
         'imu_data', lambda method: lambda self, now: (

@@ -339,7 +339,9 @@ def calls_are_not_given_up(e: Evidence) -> Verdicts:
                 (asked, until) for asked, until, _, _ in e.story.tasks], begin, end, 0.1) \
             or overlaps(e.stalls[0], begin - FRESH - 0.2, end, 0.1) \
             or called.name in ('press', 'level') and e.story.announces \
-            or e.story.parameters['echo'] and not e.story.echoes
+            or e.story.parameters['echo'] and not e.story.echoes \
+            or 'takes no data' in called.told.text and overlaps(
+                e.events('blocked'), begin, end, 1.0)
         waited = end - begin
         yield not excused, '' if excused or waited >= 4.99 or waited >= 0.79 and not served else \
             f'{called.name} of {begin:.3f} was given up at {end:.3f}: {called.told.text}'

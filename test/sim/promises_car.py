@@ -237,7 +237,9 @@ def announced_rows_wait(e: Evidence) -> Verdicts:
         opened = e.opening_of(frame.time)[0]
         chunks = [each for each in e.of_type(e.readable, ANNOUNCEMENT)
                   if opened <= each.time <= frame.time]
-        yield 1, '' if chunks else f'type {frame.type} at {frame.time:.3f}, opened at {opened:.3f}'
+        if opened < float('inf'):       # else it was lost at that moment
+            yield 1, '' if chunks else \
+                f'type {frame.type} at {frame.time:.3f}, opened at {opened:.3f}'
 
 
 def _wire_value(name: str, value) -> bytes:
@@ -347,7 +349,7 @@ def calibrations_end(e: Evidence) -> Verdicts:
     robot, limit = e.story.robot, e.story.parameters['calibration_timeout']
     imu = [frame for frame in e.of_type(e.read, IMU) if len(frame.data) == 22]
     resets = [asked for asked, _, name, _ in e.story.tasks if name == 'reset']
-    stalls = longer(merged(e.stalls[0]), STALL)
+    stalls = longer(merged(e.stalls[0]), 0.5)
     starts = [time for time, on in robot.calibrating if on]
     ends = [time for time, on in robot.calibrating if not on]
     for start, end in zip(starts, [*ends, None]):
@@ -360,7 +362,7 @@ def calibrations_end(e: Evidence) -> Verdicts:
         times = [start, *sorted({frame.time for frame in imu if start < frame.time <= end})]
         # Of those that may have been dropped after a stall either may count.
         sure = [each for each in times[:-1] if not overlaps(stalls, each, each, FRESH + 0.1)]
-        stalled = sum(min(high, end) - low for low, high in longer(stalls, 0.31)
+        stalled = sum(min(high, end) - low for low, high in stalls
                       if sure and sure[-1] <= low < end)
         silent = len(times) > 1 and times[-1] > end - 0.01 and (
             not sure or times[-1] - sure[-1] - stalled >= 2.0 - SLACK)
@@ -383,7 +385,8 @@ def calibrations_end_in_time(e: Evidence) -> Verdicts:
         last = start
         for time in (each for each in imu if each > start):
             if time > end + SLACK or time > closed - SLACK or overlaps(
-                    e.stalls[0] + e.events('altered', 'noise'), start, time, 0.1):
+                    e.stalls[0] + e.events('altered', 'noise') + [
+                        (each, each) for each in e.story.device.flushes], start, time, 0.1):
                 break
             over = time - last >= 2.0 + SLACK or time - start >= 5.0 + SLACK
             yield over, '' if not over or end <= time + SLACK else \

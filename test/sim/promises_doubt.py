@@ -251,7 +251,8 @@ def short_stalls_lose_nothing(e: Evidence) -> Verdicts:
     counted = e.story.counted
     stalls = longer(merged(e.stalls[0] + e.stalls[-1], 0.11), 0.38)
     for (last, before, *_), (time, report, *_) in zip(counted, counted[1:]):
-        if not overlaps(stalls, last, time, 0.7):
+        if not overlaps(stalls, last, time, 0.7) and not any(
+                last <= each <= time for each in e.story.device.flushes):
             more = report['stale'] - before['stale']
             yield 1, '' if not more else f'{more} bytes are stale at {time:.3f}'
     for command in e.story.commands:

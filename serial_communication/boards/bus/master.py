@@ -1,362 +1,267 @@
-"""The Master on a robot-ctrl-bus: which request may be sent when, and what a reply means.
+"""The Master on a robot-ctrl-bus: which request is sent when, and what a reply means to its call.
 
-A state machine without I/O and without a clock. The link, which owns the port, reports what it
-received and at what time, and calls `step`, which returns the request to send and the time of the
-next call. session.py has its states and transitions, call.py the calls that it serves.
+Without I/O and without a clock. Its link, which owns the port, reports what is received and when,
+and asks for the `next` request. session.py has the states and transitions, call.py the calls.
 """
-import os
 from collections import Counter, deque
-from dataclasses import dataclass
-from typing import Callable, Deque, Dict, Optional, Tuple
+from typing import Callable, Deque, Dict, NamedTuple, Optional
 
 from ...framing.stream import CHECKSUM, Frame
-from ...link.outcome import STOPPED, TIMEOUT, Outcome
+from ...link.freshness import STALL
+from ...link.outcome import Outcome
+from ...link.session import Doubt
 from ...link.sparing_log import SparingLog
 from . import wire
-from .call import NOT_READY_WAIT, UNKNOWN, Call, CallQueue, outcome_of, unknown_after_invalid
-from .session import (NOTHING, Condition, Event, Exchange, Kind, Session, SessionState, event_of,
-                      may_answer)
-
-FENCE_SILENCE = 0.02   # s of silence as a fence: a USB adapter delivers bytes up to 16 ms late
-FENCE_AGE = 1.0        # s; before a move, an older fence is renewed
+from .call import Call, OnSuccess, Queue, outcome_of, unknown
+from .session import TRIES, Channel, Event, Exchange, Kind, State, event_of
 
 STALLED = 'it may have waited while the bridge stalled'
-_NOT_ANNOUNCED = 'the board may have begun anew, and has not announced this function since'
-_NEVER = float('inf')
+_PATIENCE = 0.8     # s that a call waits for a board that does not answer
 
 
-@dataclass
-class CallExchange(Exchange):
-    """The outstanding request of a call."""
+class BusSettings(NamedTuple):
+    """Parameters of the session; times are in s."""
 
-    call: Call
-    fenced: bool                               # no reply to an earlier request can arrive
-    other_reply: Optional[wire.Reply] = None   # the latest reply that cannot be for this request
-    reply_may_be_lost: bool = False            # the reply may have been received and dropped
+    reply_timeout: float = 0.5
+    motion_timeout: float = 5.0
+    retries: int = 2                   # further tries of a repeatable request
+    environment_period: float = 1.0    # 0: never
+    environment_datelen: int = 2
+    reply_has_cmd2: bool = False
+    echo: bool = True                  # whether the board knows ECHO
+    announcements: bool = False        # ask the board for its announcement after each connect
 
 
-class Master(Session):
+class Master:
     """See the module. All times are in s of one monotonic clock.
 
     Args:
-        reply_timeout: s; for SYNC and ECHO.
-        motion_timeout: s; the longest timeout of a call, and so the longest wait for a turn.
-        log: for warnings.
         nonce: returns new bytes for an ECHO.
-        drop_output: called with the time when a request was sent that was not answered: drops what
-            may still wait on its way; see rule 10.
-        begun_anew: called with the time when the board may have begun anew, or be another one.
-        still_announces: whether the board has announced the announced functions since then.
-        is_stopped: whether ~stop refuses what is not repeatable.
-        echoes: whether the board knows ECHO; if not, a silence is the fence: see rule 6.
+        refuses: why a function is not sent to the board now; '': it is.
+        begun_anew: called with the time when the board may be another one, or was reset.
     """
 
-    def __init__(self, reply_timeout: float, motion_timeout: float, log: SparingLog,
-                 nonce: Callable[[], bytes] = lambda: os.urandom(4),
-                 drop_output: Callable[[float], None] = lambda sent: None,
-                 begun_anew: Callable[[float], None] = lambda now: None,
-                 still_announces: Callable[[], bool] = lambda: True, echoes: bool = True,
-                 is_stopped: Callable[[], bool] = lambda: False) -> None:
-        super().__init__(reply_timeout, log, nonce, begun_anew, echoes)
-        self.calls = CallQueue(max(motion_timeout, NOT_READY_WAIT))
-        self._submitted: Deque[Call] = deque()     # from other threads
+    def __init__(self, settings: BusSettings, log: SparingLog, nonce: Callable[[], bytes],
+                 refuses: Callable[[wire.Function], str],
+                 begun_anew: Callable[[float], None]) -> None:
+        self.channel = Channel(settings.echo, settings.reply_timeout, log)
+        self.queue = Queue(max(settings.motion_timeout, TRIES * settings.reply_timeout))
         self.timeouts = 0
         self.data_errors: Dict[str, int] = Counter()         # in an OK, by cause
-        self.round_trips: Deque[float] = deque(maxlen=200)     # s; the latest
-        self._drop_output = drop_output
-        self._still_announces = still_announces
-        self._is_stopped = is_stopped
-        self._closed = 'the port is closed'     # and why, in words
-        self._stalled_at = -_NEVER      # when the latest stall had ended
-        self._interrupted: Optional[CallExchange] = None    # of a move that a stop has ended
+        self.round_trips: Deque[float] = deque(maxlen=200)   # s; the latest
+        self._settings, self._log = settings, log
+        self._nonce, self._refuses, self._begun_anew = nonce, refuses, begun_anew
+        self._ticked_at = self._stalled_at = float('-inf')      # the end of the latest stall
 
-    @property
-    def outstanding_call(self) -> Optional[Call]:
-        """The call whose reply is expected, or None."""
-        exchange = self._exchange
-        return exchange.call if isinstance(exchange, CallExchange) else None
+    def make(self, request: wire.Request, function: wire.Function, now: float,
+             on_success: Optional[OnSuccess] = None, is_poll: bool = False) -> Call:
+        """A call, to be submitted."""
+        moves = wire.built_in(request, function).moves      # a raw request may be one, too
+        timeout = self._settings.motion_timeout if moves else self._settings.reply_timeout
+        return Call(request, function, function.timeout or timeout, 1 + self._settings.retries, now,
+                    is_poll, on_success)
 
     # -- events -------------------------------------------------------------------------
 
-    def under_way(self) -> str:
-        """What the board executes and must not be interrupted, for people; '': nothing."""
-        call = self.outstanding_call
-        return '' if call is None or call.function.repeatable else f'"{call.request}" is under way'
+    def begin(self, now: float) -> None:
+        """The port was opened."""
+        self.channel.begin()
+        self._ticked_at = now
 
-    def submit(self, call: Call) -> Call:
-        """Queue a call, from any thread, and return it; `Call.wait` returns its outcome."""
-        self._submitted.append(call)
-        return call
+    def end(self, why: str, now: float) -> None:
+        """The port is closed: every call has an outcome now."""
+        call = self.channel.happened(Event.CLOSED, now)
+        if call:
+            call.finish(unknown(f'the port closed before the reply arrived ({why})'))
+        self.queue.end(lambda call: call.without_reply(f'the port is closed ({why})'))
 
-    def disconnected(self, now: float, why: str) -> None:
-        """The port is closed: every call returns."""
-        self.state = SessionState.CLOSED
-        self._closed = f'the port is closed ({why})'
-        exchange, self._exchange = self._exchange, NOTHING
-        self._interrupted = None
-        if isinstance(exchange, CallExchange):
-            exchange.call.finish(Outcome(
-                TIMEOUT, f'the port closed before the reply arrived ({why}): {UNKNOWN}'))
-        self._take_calls(now)
-
-    def received(self, frame: Frame, now: float) -> None:
-        """A valid reply was received."""
-        reply, exchange = frame.message, self._exchange
-        self._last_bytes = now
-        self.calls.doubt_invalid(reply)
-        if isinstance(exchange, CallExchange):
-            self._call_answered(exchange, frame, now)
-        else:
-            self._own_answered(reply, now)
+    def doubt(self, why: str, now: float) -> None:
+        """Replies may have been missed, and requests lost, on a port that stays open. If that is so
+        because the bridge did not run, what moves and was asked for until now is too old; rule 9.
+        """
+        if now - self._ticked_at > STALL:
+            self._stalled_at = now
+        self.channel.happened(Event.OTHER, now, why)
+        self.queue.doubt_refusals()
+        call = self.channel.call
+        if call and call.function.interrupts:
+            self._interrupt('it was sent again before the reply', now)
+        self.queue.stop_again()
 
     def damaged(self, frame: Frame, now: float) -> None:
         """Bytes were received that are not a valid reply."""
-        exchange = self._exchange
-        self._last_bytes = now
-        self.calls.doubt_invalid()
+        self.queue.doubt_refusals()
         # Only a frame with a wrong checksum can be the reply. After noise, for example during a
         # motion, the reply may still arrive.
-        is_reply = frame.cause == CHECKSUM
-        self._happened(Event.DAMAGED if is_reply else Event.NOISE, now,
-                       'received bytes that are no valid reply')
-        if isinstance(exchange, CallExchange):
-            if is_reply:
-                self.calls.try_failed(exchange.call, Outcome(
-                    TIMEOUT, f'the reply was damaged: {UNKNOWN}'), now)
-            exchange.reply_may_be_lost = True      # noise may have been the reply
+        call = self.channel.happened(Event.FAILED if frame.cause == CHECKSUM else Event.OTHER, now,
+                                     'received bytes that are no valid reply')
+        if call:
+            self.queue.again(call, now, unknown('the reply was damaged'))
 
-    def may_have_missed(self, why: str, now: float) -> None:
-        """Replies may have been received and dropped."""
-        self._happened(Event.MISSED, now, why)
-        if isinstance(self._exchange, CallExchange):
-            self._exchange.reply_may_be_lost = True
-        self.calls.doubt_invalid()
+    def received(self, frame: Frame, now: float) -> None:
+        """A valid reply was received."""
+        reply, channel = frame.message, self.channel
+        exchange, call, in_step = channel.exchange, channel.call, channel.in_step
+        event, error = event_of(reply, exchange), ''
+        if reply.cmd1 == wire.OK:
+            self.queue.doubt_refusals()
+            if call and event is Event.ANSWER:
+                error = self._data_error(call, reply)
+        if error:       # without ECHO the right reply may follow
+            event = Event.FAILED if self._settings.echo else Event.OTHER
+        if event is Event.LOST and channel.unanswered[Kind.ECHO] >= TRIES:
+            event = Event.OTHER     # SYNC and ECHO do not alternate faster than ECHOs time out
+        if event is Event.LOST or event is Event.ANSWER and reply.cmd1 == wire.SYNC:
+            self._begun_anew(now)     # rule 12
+        call = channel.happened(event, now, f'received {reply}, no reply to '
+                                f'{exchange.request if exchange else "a request"}')
+        if call and exchange:
+            outcome = outcome_of(reply, exchange.request, now - exchange.sent, frame.stamp)
+            if error:
+                outcome = outcome._replace(message=error, as_expected=False)
+            self._answered(call, outcome, now, in_step)
 
-    def stalled(self, now: float) -> None:
-        """The bridge stalled: a request that moves something and still waits is too old now."""
-        self.may_have_missed('the bridge stalled', now)
-        self._stalled_at = now
-        self._take_calls(now)
-        for call in self.calls:
-            if not call.function.repeatable:
-                self.calls.abandon(call, STALLED)
-
-    def sent(self, request: wire.Request) -> None:
-        """The request that `step` returned was written."""
-        for call in self.calls:
-            if call.request is request:     # one that interrupts stays in the queue
-                call.written.set()
-
-    def not_sent(self, why: str) -> None:
-        """The request that `step` returned could not be sent."""
-        exchange, self._exchange = self._exchange, NOTHING
-        if isinstance(exchange, CallExchange):
-            exchange.call.give_up(why)
-        else:
-            self.calls.stop_again()     # what waited in the port is dropped, perhaps a stop, too
+    def not_sent(self, request: wire.Request, why: str) -> None:
+        """The request that `next` returned could not be written."""
+        exchange, call = self.channel.exchange, self.channel.call
+        if exchange and exchange.request is request:
+            self.channel.exchange = None
+            if call and call.function.interrupts:
+                self.queue.waiting.insert(0, call)
+            elif call:
+                call.finish(call.without_reply(why))
+        self.queue.stop_again()     # what waited in the port is dropped, perhaps a stop, too
 
     # -- what to do ---------------------------------------------------------------------
 
-    def step(self, now: float, waits_for: str = '',
-             port_ready: bool = True) -> Tuple[Optional[wire.Request], Optional[float]]:
-        """Do what is due now.
+    def submit(self, call: Call, now: float) -> None:
+        """Queue a call; it gets an outcome whatever happens. A stop is to be sent at once."""
+        outcome = self._outcome_of_waiting(call, now)
+        if outcome:
+            call.finish(outcome)        # what is not sent interrupts nothing
+            return
+        if call.function.interrupts:
+            self._interrupt(f'{call.request} was sent before the reply', now)
+            self.queue.end_but_stops(f'{call.request} was called', now)
+            call.is_urgent = True
+        call.waits_since = call.asked
+        self.queue.waiting.append(call)
+
+    def tick(self, now: float) -> None:
+        """End what is over, may not be sent, or waits for too long. Doubt: a move was not answered,
+        and may still wait on its way; nobody is told before that is dropped."""
+        self._ticked_at = now
+        exchange = self.channel.exchange
+        if exchange and now >= exchange.deadline:
+            self._timed_out(exchange, now)
+        self.queue.end(lambda call: self._outcome_of_waiting(call, now))
+
+    def next(self, now: float, has_read_all: bool) -> Optional[wire.Request]:
+        """The request to write now, or None. It counts as sent, unless `not_sent` follows.
 
         Args:
-            waits_for: what has to be received before a request may be sent, for people; '':
-                nothing. A call that interrupts does not wait for it.
-            port_ready: False: nothing at all can be sent now.
-
-        Returns:
-            The request to send now, or None, and the time of the next call at the latest, or None.
-            The request counts as outstanding from now on.
+            has_read_all: whether all that was received was taken in; only a stop does not wait.
         """
-        self._take_calls(now)
-        if now >= self._exchange.deadline:
-            self._timed_out(self._exchange, now)
-        if port_ready:      # also a stop that is overdue, since it waited during a stall
-            for call in self.calls:
-                why = self._why_not(call)
-                if call.at_once and why:
-                    self.calls.abandon(call, why)
-                elif call.at_once:
-                    return call.request if call.claim_at_once() else None, now
-        self._abandon_overdue(now, waits_for)
-        request, due = self._next_request(now) if port_ready and not waits_for else (None, _NEVER)
-        due = min([due, self._exchange.deadline, *map(self._expiry, self.calls)])
-        return request, due if due < _NEVER else None
-
-    def _next_request(self, now: float) -> Tuple[Optional[wire.Request], float]:
-        """The request to send now, or None, and when to look for one again."""
-        if self._exchange is not NOTHING or self.state is SessionState.CLOSED:
-            return None, _NEVER
-        if not self.in_step:
-            return self._probe(now), _NEVER
-        call = self._next_call()
+        channel, call = self.channel, self.queue.urgent()
+        if call:
+            call.is_urgent, call.refused = False, None
+            call.told = unknown('no reply is known to be the one to this')
+            return call.request     # it waits for its turn, too
+        if not has_read_all or channel.exchange or channel.state is State.CLOSED:
+            return None
+        if not channel.in_step:
+            return self._probe(now)
+        call = self.queue.next()
         if call is None:
-            return None, _NEVER
-        is_fenced = self.state is SessionState.FENCED
-        silent_until = self._last_bytes + self._silence
-        if now >= silent_until:
-            self._silence = FENCE_SILENCE
-        if self._needs_fence(call):
-            is_old = now > self._fenced_at + FENCE_AGE     # rule 10
-            if self._echoes and (not is_fenced or is_old and not call.function.repeatable):
-                return self._probe(now), _NEVER
-            if not self._echoes and now < silent_until:
-                return None, silent_until
-        self.calls.remove(call)
-        if not call.claim():
-            return None, now
+            channel.state = State.IN_STEP       # the line may stand before a call comes: rule 10
+            return None
+        needs_fence = call.function.cmd1 == wire.FUNCTION and not (
+            call.is_poll and call.request == channel.latest)        # rule 6
+        if needs_fence and not channel.is_fenced(now):
+            return self._probe(now) if self._settings.echo else None
+        self.queue.waiting.remove(call)
         call.tries -= 1
-        self.state = SessionState.IN_STEP
-        return self._begin(CallExchange(Kind.CALL, call.request, now, now + call.timeout, call,
-                                        is_fenced)), _NEVER
+        return channel.send(call.request, now, call.timeout, call)
 
-    def _next_call(self) -> Optional[Call]:
-        """The first call that may be sent; those before it end."""
-        for call in iter(self.calls.next, None):
-            if call.invalid and not call.tries:
-                call.finish(call.invalid)       # in step: an ECHO has returned since; rule 4
-            why = self._why_not(call)
-            if call.outcome is None and not why:
-                return call
-            self.calls.abandon(call, why)
-        return None
+    def _probe(self, now: float) -> wire.Request:
+        """Send what has to be answered before the next call; rules 2 and 6."""
+        is_echo = self.channel.synchronised and self._settings.echo
+        return self.channel.send(wire.echo(self._nonce()) if is_echo else wire.SYNC_REQUEST,
+                                 now, self._settings.reply_timeout)
 
-    def _needs_fence(self, call: Call) -> bool:
-        """Whether a reply to the request before could be taken for its reply; rule 6."""
-        if call.poll:
-            return call.request != self._latest_request
-        return not call.function.repeatable or call.request.cmd1 not in (wire.SYNC, wire.ECHO)
+    def due(self, now: float) -> float:
+        """When `tick` and `next` are to be called next, at the latest."""
+        channel = self.channel
+        times = [call.waits_since + self.queue.longest_wait for call in self.queue.waiting]
+        if channel.exchange:
+            times.append(channel.exchange.deadline)
+        elif now < channel.quiet_until:
+            times.append(channel.quiet_until)
+        return min(times, default=float('inf'))
 
-    def _why_not(self, call: Call) -> str:
-        """Why a call may not be sent; '' if it may."""
-        if self._is_stopped() and not call.function.repeatable:
-            return STOPPED
-        # Rule 12: the board has to be known to have the function.
-        return _NOT_ANNOUNCED if call.function.announced and not self._still_announces() else ''
+    # -- calls --------------------------------------------------------------------------
 
-    # -- replies ------------------------------------------------------------------------
+    def _outcome_of_waiting(self, call: Call, now: float) -> Optional[Outcome]:
+        """The outcome of a call that must not be sent, or waits for too long; None if it waits."""
+        channel, is_repeatable = self.channel, call.function.repeatable
+        if call.refused and not call.tries and channel.in_step:
+            return call.refused         # an ECHO has returned since; rule 4
+        if call.told and not call.refused and not (is_repeatable and call.tries):
+            return call.told
+        why = self._refuses(call.function)
+        if call.asked <= self._stalled_at and not is_repeatable:
+            why = STALLED
+        elif call.outcome or now >= call.waits_since + self.queue.longest_wait \
+                and not call.is_urgent:
+            why = 'the bus is busy, or its line' if channel.in_step else channel.condition.summary
+        return call.without_reply(why) if why else None
 
-    def _call_answered(self, exchange: CallExchange, frame: Frame, now: float) -> None:
-        """A reply was received while the request of a call is outstanding."""
-        call, reply = exchange.call, frame.message
-        # Rule 5
-        is_foreign = not self._echoes and reply.cmd1 == wire.OK and reply.data \
-            and call.function.reply.is_empty
-        if is_foreign or not may_answer(reply, call.request):     # the right one may follow
-            exchange.other_reply = reply
-            exchange.reply_may_be_lost |= reply.cmd1 == wire.OK
-            self._happened(Event.OTHER, now, f'{reply} to {call.request}')
-            return
+    def _interrupt(self, why: str, now: float) -> None:
+        """A stop is sent now, whatever is outstanding; rule 8."""
+        call = self.channel.happened(Event.STOP, now)
+        if call:
+            self.queue.again(call, now, unknown(why))
+
+    def _data_error(self, call: Call, reply: wire.Reply) -> str:
+        """What is wrong with the data of an OK, which is counted; '': nothing; rule 5."""
+        if not self._settings.echo and reply.data and call.function.reply.is_empty:
+            return 'it has data, so it is the reply to another request'
         cause, error = call.function.data_error(reply)
         if error:
+            error = (f'the OK to "{call.request}" is invalid: {error}; check that the board\'s '
+                     'firmware has the same layout')
             self.data_errors[cause] += 1
-            self._data_wrong(exchange, frame, error, now)
-            return
-        outcome = outcome_of(reply, call.request, now - exchange.sent, frame.stamp)
-        self.round_trips.append(outcome.round_trip)
-        if reply.cmd1 == wire.SYNC:
-            self._begun_anew(now)
-        self._happened(event_of(reply, True), now)
-        if reply.cmd1 != wire.INVALID:
-            self.calls.finish(call, outcome, now)
-        elif exchange.reply_may_be_lost or not self._echoes:
-            self.calls.try_failed(call, unknown_after_invalid(outcome), now)
-        else:
-            self.calls.refused(call, outcome, now)
+            self._log.warn('unexpected', error)
+        return error
 
-    def _data_wrong(self, exchange: CallExchange, frame: Frame, error: str, now: float) -> None:
-        """An OK with data that the call does not expect was received; rule 5."""
-        call = exchange.call
-        text = (f'the OK to "{call.request}" is invalid: {error}; check that the board\'s firmware '
-                'has the same layout')
-        self._log.warn('unexpected', text)
-        exchange.other_reply = frame.message
-        outcome = Outcome(wire.OK, text, 0, frame.message.data, now - exchange.sent, False,
-                          frame.stamp)
-        if not self._echoes and not call.function.repeatable:
-            exchange.reply_may_be_lost = True
-            self._happened(Event.OTHER, now)
+    def _answered(self, call: Call, outcome: Outcome, now: float, is_certain: bool) -> None:
+        """The try of a call has ended with a reply.
+
+        Args:
+            is_certain: whether no other reply was received, or may have been, since its request.
+        """
+        self.round_trips.append(outcome.round_trip)
+        code = outcome.error_code
+        if outcome.status != wire.INVALID:
+            call.finish(outcome)
             return
-        self._happened(Event.WRONG_DATA, now)
-        if exchange.fenced:
-            self.calls.finish(call, outcome, now)
-        else:
-            self.calls.try_failed(call, outcome, now)
+        if code not in (wire.NOT_SYNCHRONISED, wire.CHECKSUM_MISMATCH):
+            call.tries = 0
+        may_be_done = call.told and not call.refused    # an earlier try
+        self.queue.again(call, now, unknown(
+            f'received INVALID ({wire.describe_error(code)}), perhaps because of noise on the line',
+            code), outcome if is_certain and self._settings.echo and not may_be_done else None)
 
     def _timed_out(self, exchange: Exchange, now: float) -> None:
+        """The time for the reply is over; rule 3."""
         self.timeouts += 1
-        if not isinstance(exchange, CallExchange):
-            self._happened(Event.TIMEOUT, now)
-            if self._interrupted and now >= self._interrupted.deadline:
-                self._drop_output(self._interrupted.sent)       # rule 10
-                self._interrupted = None
-            self.calls.stop_again()
+        call = self.channel.happened(Event.TIMEOUT, now, 'no reply')
+        if call is None:
+            if self.channel.unanswered[exchange.kind] >= TRIES:
+                self.queue.end_but_stops(self.channel.condition.summary, now - _PATIENCE)
+            self.queue.stop_again()
             return
-        call, within = exchange.call, f'within {exchange.call.timeout:g} s'
-        if exchange.other_reply is not None:
-            within += f' but {exchange.other_reply}, perhaps the reply to another request'
-        self._log.warn('timeout', f'no reply to "{call.request}" {within}')
-        self._happened(Event.TIMEOUT, now, 'no reply')
-        if not call.function.repeatable:
-            self._drop_output(exchange.sent)      # before the caller is told; rule 10
-        self.calls.try_failed(call, Outcome(TIMEOUT, f'no reply {within}: {UNKNOWN}'), now)
-
-    # -- calls that interrupt; rule 8 -------------------------------------------------------
-
-    def _take_calls(self, now: float) -> None:
-        while self._submitted:
-            call = self._submitted.popleft()
-            if call.function.interrupts and self.state is not SessionState.CLOSED:
-                why = self._why_not(call)
-                if why:
-                    call.give_up(why)       # what is not sent interrupts nothing
-                    continue
-                self._interrupt(call, now)
-            self.calls.add(call)
-            if call.submitted <= self._stalled_at and not call.function.repeatable:
-                self.calls.abandon(call, STALLED)       # its thread went on later; rule 9
-        if self.state is SessionState.CLOSED:
-            for call in self.calls:
-                self.calls.abandon(call, self._closed)
-
-    def _interrupt(self, call: Call, now: float) -> None:
-        """Prepare to send this call at once."""
-        exchange = self._exchange
-        self._happened(Event.STOP, now)
-        if isinstance(exchange, CallExchange):
-            if not exchange.call.function.repeatable:
-                self._interrupted = exchange
-            self.calls.try_failed(exchange.call, Outcome(
-                TIMEOUT, f'{call.request} was sent before the reply: {UNKNOWN}'), now)
-        call.at_once = True
-        for other in self.calls:
-            if not other.function.interrupts:
-                self.calls.abandon(other, f'{call.request} was called')
-
-    # -- calls that wait ------------------------------------------------------------------
-
-    def _expiry(self, call: Call) -> float:
-        """When a waiting call is given up.
-
-        That is sooner while the link is not ready. But the board may first have to finish
-        something, such as a move, before it answers ECHO.
-        """
-        if self.in_step or call.function.interrupts or self.outstanding_call:
-            return call.expires
-        is_late = self.condition() is Condition.OUT_OF_STEP
-        wait = max(NOT_READY_WAIT, call.timeout) if is_late else NOT_READY_WAIT
-        return min(call.expires, max(call.submitted, self.calls.served_until) + wait)
-
-    def _abandon_overdue(self, now: float, waits_for: str) -> None:
-        for call in self.calls:
-            if call.outcome is not None:      # its caller has given up
-                self.calls.remove(call)
-            elif now < self._expiry(call):
-                continue
-            elif waits_for and not self.outstanding_call:
-                self.calls.abandon(call, f'the link waits for {waits_for}')
-            else:
-                self.calls.abandon(call,
-                                   self.condition().value or 'the bus is busy with other calls')
+        self._log.warn('timeout', f'no reply to "{call.request}" within {call.timeout:g} s')
+        self.queue.again(call, now, unknown(f'no reply within {call.timeout:g} s'))
+        if not call.function.repeatable and not exchange.heard:     # rule 10
+            raise Doubt('nothing received since a request, which may still wait')

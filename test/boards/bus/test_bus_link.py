@@ -43,8 +43,8 @@ def test_only_lift_and_gimbal_have_the_motion_timeout(logger, request_, is_slow)
 
 def test_invalid_arguments_are_refused_without_sending(logger):
     link = Bus(logger=logger).run(1.0).link
-    for outcome, said in ((link.lift(2, 10), 'lift: direction is 2'),
-                          (link.gimbal(0, 256), 'angle is 256'),
+    for outcome, said in ((link.call(bus.LIFT_FUNCTION, (2, 10)), 'lift: direction is 2'),
+                          (link.call(bus.GIMBAL_FUNCTION, (0, 256)), 'angle is 256'),
                           (link.request(bus.Request(1, 0, bytes(1025))), '1025')):
         assert outcome.status == NOT_SENT and said in outcome.message
         assert 'nothing was sent' in outcome.message
@@ -54,6 +54,6 @@ def test_a_closed_port_refuses_at_once(logger):
     steps = Bus(logger=logger)
     steps.port.is_there = False
     link = steps.run(1.0).link
-    for outcome in (link.lift(0, 1), link.environment()[0]):
+    for outcome in (link.request(LIFT), link.environment()[0]):
         assert outcome.status == NOT_SENT and 'closed' in outcome.message
     assert link.report(steps.port.time).level == ERROR
