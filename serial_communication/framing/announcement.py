@@ -10,7 +10,7 @@ CRC-16/CCITT-FALSE, little-endian. Each link has one type for chunks, `TYPE`.
 import binascii
 import struct
 from collections import namedtuple
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from .layout import Layout, LayoutMessage, Value, brief, readable
 
@@ -55,15 +55,8 @@ class Chunk(LayoutMessage, namedtuple('Chunk', 'index count crc text')):
 
 
 def chunks_of(text: bytes, size: int) -> List[Chunk]:
-    """The chunks of a text, with at most `size` bytes of it each.
-
-    Raises:
-        ValueError: the text is too long, or needs more than 255 chunks.
-    """
+    """The chunks of a text, with at most `size` bytes of it each; at most 255 of them."""
     pieces = [text[at:at + size] for at in range(0, len(text), size)] or [b'']
-    if len(text) > LONGEST or len(pieces) > 255:
-        raise ValueError(f'{len(text)} bytes to announce in chunks of {size}, may be at most '
-                         f'{min(LONGEST, 255 * size)}')
     crc = crc_of(text)
     return [Chunk(index, len(pieces), crc, piece) for index, piece in enumerate(pieces)]
 
@@ -174,19 +167,7 @@ def _read_row(line: str) -> Tuple[str, Any]:
     (name, row), = found.items()
     if not isinstance(name, str):
         raise ValueError('the name of the row is no text')
-    if any(text != readable(text) for text in _texts(row)):
-        # It could neither be published nor be set on the parameter server.
-        raise ValueError('a text has a control character')
     return name, row
-
-
-def _texts(value: Any) -> Iterator[str]:
-    """All texts in a row, without its keys, which are checked later."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, (dict, list, tuple, set)):
-        for each in value.values() if isinstance(value, dict) else value:
-            yield from _texts(each)
 
 
 def write_announcement(rows: Dict[str, Any], firmware: str = '') -> bytes:

@@ -7,7 +7,6 @@ custom messages.
 import re
 import struct
 from collections import namedtuple
-from itertools import zip_longest
 from math import inf, isfinite
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
@@ -178,7 +177,7 @@ class Layout:
                         if value.is_scaled or value.invalid is not None]
         # The index of each limited value, its limits, and whether it may be NaN.
         self._limited: List[Tuple[int, float, float, bool]] = []
-        for index, (value, field) in enumerate(zip_longest(self.values, fields, fillvalue='')):
+        for index, (value, field) in enumerate(zip(self.values, fields or [''] * len(places))):
             least, most = RANGES[field] if field else (-inf, inf)
             low, high = value.limits
             is_wide = value.range[0] < least or value.range[1] > most \

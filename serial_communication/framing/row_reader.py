@@ -7,7 +7,7 @@ from math import inf, isnan, nan
 from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Tuple
 
 from .layout import (BOARD_TIME, EMPTY, FRACTIONS, Layout, Value, message_class, places_of,
-                     shortest)
+                     readable, shortest)
 from .rows import BOARD, FILE, Kind, Row, RowError, refuse_second_number
 
 # Types from this one on have a meaning of their own on every link: settings, time, announcements.
@@ -30,7 +30,9 @@ _SETTING_KEYS = 'setting', 'layout', 'unit', 'description'
 
 
 def _text(pattern: str = '(?s).*') -> Callable[[Any], bool]:
-    return lambda value: type(value) is str and bool(re.fullmatch(pattern, value))
+    # With a control character it could neither be published nor be set on the parameter server.
+    return lambda value: type(value) is str and value == readable(value) \
+        and bool(re.fullmatch(pattern, value))
 
 
 def _number(low: float, high: float) -> Callable[[Any], bool]:
@@ -53,7 +55,8 @@ _CHECKS: Dict[str, Tuple[Callable[[Any], bool], str, Any]] = {
     **dict.fromkeys(('frame_id', 'child_frame_id', 'unit', 'description'), (_text(), 'text', '')),
     **dict.fromkeys(('motion', 'repeatable', 'interrupts'), (_is_flag, 'true or false', False)),
     'constants': (lambda given: type(given) is dict and all(
-        path and _text(_PATH.pattern)(path) for path in given),
+        path and _text(_PATH.pattern)(path) and (type(value) is not str or _text()(value))
+        for path, value in given.items()),
         'a group with a value for the path of each field, as {present: true}', {})}
 
 

@@ -110,8 +110,8 @@ class RosFields:
         self._places = [None if value.name in ('', BOARD_TIME) else self._place(key, value)
                         for value in layout.values]
         for path, given in (constants or {}).items():
-            place = self._follow(constants_key, path)
-            self._constants.append((place, place.whole(given)))
+            constant = self._follow(constants_key, path)
+            self._constants.append((constant, constant.whole(given)))
             try:
                 self.new().serialize(BytesIO())
             except (SerializationError, AttributeError, OverflowError, ValueError) as error:

@@ -317,6 +317,8 @@ def test_a_motion_is_saturated_and_what_is_not_finite_is_the_zero(given, sent, w
     (FORCE, {'offset': float('inf')}, 'offset', 'may be a number'),
     (FORCE, {'minimum': 200, 'maximum': 100}, 'minimum', 'at most the maximum, 100'),
     (FORCE, {'frame_id': 5}, 'frame_id', 'may be text'),
+    (FORCE, {'frame_id': 'a\0'}, 'frame_id', 'may be text'),
+    (FORCE, {'constants': {'data': '\ud800'}}, 'constants', 'may be a group with a value'),
     (FORCE, {'constants': True}, 'constants', 'may be a group with a value for the path'),
     (FORCE, {'constants': {'a b': 1}}, 'constants', 'may be a group with a value for the path'),
     (FORCE, {'child_frame_id': 5}, 'child_frame_id', 'may be text'),
