@@ -51,11 +51,6 @@ class Value(NamedTuple):
         return 'text' if self.code == 's' else 'number' if self.end >= 0 else 'array'
 
     @property
-    def room(self) -> Optional[int]:
-        """How many bytes its place has; None: all up to the end of the data."""
-        return self.end - self.start if self.end >= 0 else None
-
-    @property
     def is_scaled(self) -> bool:
         """Whether the value differs from the raw number. Without a scale an int stays an int."""
         return self.scale != 1 or self.offset != 0
@@ -106,12 +101,8 @@ class Value(NamedTuple):
             raw * self.scale + self.offset
 
     def packed(self, given: Any, order: str) -> bytes:
-        """The data of a value, in the byte order '<' or '>'.
-
-        Raises:
-            struct.error, OverflowError, TypeError, ValueError, AttributeError: its place cannot
-                hold the value.
-        """
+        """The data of a value, in the byte order '<' or '>'. One that its place cannot hold raises
+        any of the errors that `Layout.pack` catches."""
         if self.code == 's':
             text = given.encode()
             if b'\0' in text or 0 <= self.end < self.start + len(text):
@@ -124,15 +115,9 @@ class Value(NamedTuple):
         """The raw number that is nearest to a value."""
         if number is NO_VALUE and self.invalid is not None:
             return self.invalid if self.code in FRACTIONS else int(self.invalid)
-        if not isinstance(number, (int, float)):
-            raise TypeError
         if self.is_scaled:
             number = (number - self.offset) / self.scale
-        if self.code == '?':
-            if not isfinite(number):
-                raise ValueError
-            return number != 0
-        return number if self.code in FRACTIONS else round(number)
+        return number if self.code in FRACTIONS + '?' else round(number)
 
     def why_implausible(self, given: Any, low: float, high: float, takes_nan: bool = False) -> str:
         """Why a value, or one number of an array, is outside these limits; '' if it is not.
@@ -205,9 +190,7 @@ class Layout:
 
     def sizes(self) -> str:
         """How many bytes of data it may have, in words."""
-        if not self._step:
-            return f'{self.size}'
-        return f'{self.size}, {self.size + self._step}, {self.size + 2 * self._step} …'
+        return f'{self.size}' + f' and a multiple of {self._step}' * bool(self._step)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Layout) and (self.layout, self.values) == (
@@ -243,10 +226,8 @@ class Layout:
         """
         data = bytearray(self.size)
         for given, value in zip(values, self.values):
-            if not value.name:
-                continue
             try:
-                packed = value.packed(given, self.layout[0])
+                packed = value.packed(given, self.layout[0]) if value.name else b''
             except (struct.error, OverflowError, TypeError, ValueError, AttributeError):
                 raise ValueError(f'{value.name} is {brief(given, 40)}, which its place '
                                  f'({value.code}) cannot hold') from None
@@ -329,7 +310,7 @@ def brief(given: Any, most: int) -> str:
 
 
 def shortest(number: float) -> float:
-    """The decimal number with the fewest digits that is the same float32 as this number."""
+    """The decimal number with the fewest digits that is the same float32."""
     wanted = struct.pack('<f', number)
     number, = struct.unpack('<f', wanted)
     return next((short for short in (float(f'{number:.{digits}g}') for digits in (6, 7, 8))
@@ -340,11 +321,8 @@ EMPTY = Layout('<', ())
 
 
 class LayoutMessage(tuple):
-    """Base of the messages that a layout describes: a message is a tuple of its values.
-
-    `framing` explains the members. The classes that `message_class` does not make also derive from
-    a NamedTuple.
-    """
+    """Base of the messages that a layout describes: a message is a tuple of its values. `framing`
+    explains the members."""
 
     __slots__ = ()
     TYPE: int

@@ -203,15 +203,14 @@ class _Keys:
 
     def check_motion(self, layout: Layout) -> None:
         """Refuse a motion that cannot be stopped by a zero of a fixed length."""
-        if not all(value.kind == 'number' for value in layout.values):
-            raise self.error('layout', 'may have numbers and bools alone, of a fixed length: it '
-                             'is a motion (else: motion: false)')
         zero = [0] * len(layout.values)
         try:
             layout.pack(zero)
             why = layout.implausible(zero)
         except ValueError as error:
             why = str(error)
+        if not all(value.kind == 'number' for value in layout.values):
+            why = 'it may have numbers and bools alone, of a fixed length (else: motion: false)'
         if why:
             raise RowError(f'{self.key}/motion', True, f'has to allow the zero of a motion: {why}')
 

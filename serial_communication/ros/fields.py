@@ -200,14 +200,13 @@ class RosFields:
         message_class, type_, array, is_angle = self._class, '', '', False
         steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
-            if message_class is None:
-                raise RowError(key, path, f'must end at {steps[-1]}, a {type_} without fields')
-            fields = dict(zip(message_class.__slots__, message_class._slot_types))
-            if message_class._type == _QUATERNION:
+            fields = dict(zip(message_class.__slots__, message_class._slot_types)) \
+                if message_class else {}
+            if fields and message_class._type == _QUATERNION:
                 fields.update(dict.fromkeys(_ANGLES, 'float64'))
             if name not in fields:
-                raise RowError(key, path, f'{message_class._type} has no field {name}; it has '
-                               + ', '.join(fields))
+                raise RowError(key, path, f'has no field {name} there, but '
+                               f'{", ".join(fields) or f"a single {type_}"}')
             is_angle = name not in message_class.__slots__
             type_, bracket, size = fields[name].partition('[')
             array = bracket + size

@@ -73,8 +73,7 @@ def resolve(board: Description, row: Row) -> RosRow:
     if row.kind is Kind.FUNCTION:
         row = replace(row, reply=fields.layout)
     elif row.kind is Kind.FROM and row.key:
-        row = replace(row, layout=fields.layout, message=type(row.name, (row.message,), {
-            '__slots__': (), 'LAYOUT': fields.layout}))
+        row.message.LAYOUT = fields.layout     # the class is of this row alone
     return RosRow(row, name, found, fields)
 
 

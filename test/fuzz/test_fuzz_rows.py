@@ -88,7 +88,7 @@ def test_any_row_is_accepted_or_refused_with_one_line(case, data):
         return
     accepted, = values[group]
     row, fields = accepted.row, accepted.fields
-    layout = row.layout if rows_of == 'messages' else row.reply
+    layout = row.message.LAYOUT if rows_of == 'messages' else row.reply
     is_command = row.kind is Kind.TO
     message = fields.new()
     for size in layout.size, layout.size + 8:      # twice, since the message is reused
