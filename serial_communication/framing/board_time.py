@@ -5,6 +5,9 @@ only ever add, and the two clocks differ by a rate that hardly changes. So the l
 (board time, arrival) of the last seconds, their lower convex hull, belongs to the bytes that were
 delayed least, and gives the time of all others.
 
+A damaged value that seems ahead would hold the line down until the window is over. So a point that
+is out of place is doubted: it is dropped, unless the next one is out of place by the same.
+
 Sources: E. Olson, "A Passive Solution to the Sensor Synchronization Problem", IROS 2010;
 ethz-asl/cuckoo_time_translator, whose ConvexHullOwt uses the edge in the middle.
 """
@@ -19,9 +22,9 @@ SMOOTHED = 0.5        # s in which the times move over to a new line, exponentia
 LEAST_POINTS = 10     # before a time is returned, and
 LEAST_SPAN = 1.0      # s that they span at least
 MOST_DRIFT = 0.01     # a Nano has a ceramic resonator, good to 0.5 %
-MOST_JUMP = 1.0       # s between the two clocks from one point to the next; more is a reset
-MOST_OLDER = 0.1      # s before the newest time; a time that is older is that of a board begun anew
-MOST_EARLY = 0.01     # s that bytes may seem to arrive before they are sent; else a time is wrong
+MOST_JUMP = 1.0       # s that a point may be later than the one before; more is a reset
+LEAST_JUMP = 0.1      # s; the same before a time is returned, of an older time, and below the line
+MOST_BELOW = 0.005    # s that one point may lie below the line; two may, if they agree so well
 MOST_DELAY = 1.0      # s; a frame that seems to have been delayed more is not believed
 _HALF = 2 ** 31       # µs; after twice that the board's clock begins again at 0
 
@@ -45,7 +48,7 @@ class BoardClock:
         self._least_delay = inf
         self._points = 0
         self._is_known = False
-        self._is_older = False                     # the latest time was older, and came late
+        self._doubted: Optional[Tuple[int, float]] = None     # ticks, arrival of the latest point
         self._ticks = 0                            # of the newest point
         self._newest: _Point = (0.0, -inf)         # board times are from the first point on
         self._returned = -inf                      # the latest time returned
@@ -67,39 +70,45 @@ class BoardClock:
             ticks: µs, modulo 2 ** 32.
             arrival: when the frame began on the wire at the latest.
         """
-        board_before, arrival_before = self._newest
-        elapsed = arrival - arrival_before
-        step = ((ticks - self._ticks + _HALF) % (2 * _HALF) - _HALF) / 1e6
-        late, jump = elapsed - step, MOST_JUMP + MOST_DRIFT * elapsed
-        is_older, was_older = step < 0.0 and late > MOST_OLDER, self._is_older
-        if elapsed > WINDOW or abs(late) > jump or is_older and (was_older or step < -MOST_OLDER):
-            self.reset()       # all points are old, or the clock jumped or stood
-            board_before, step, is_older = 0.0, 0.0, False
-        self._is_older = is_older
-        if is_older:           # the line held it back, or the board began anew: the next one tells
+        elapsed = arrival - self._newest[1]
+        if elapsed > WINDOW:       # all points are old
+            self._begin(ticks, arrival)
             return None
-        board = board_before + step
-        if not self._is_known:
-            if step >= 0.0:
-                self._add(ticks, (board, arrival), 0.0)
-            if not self._is_known:
+        step = _seconds(self._ticks, ticks)
+        late = elapsed - step
+        board = self._newest[0] + step
+        delay = arrival - self._line_at(board)
+        drift = MOST_DRIFT * elapsed
+        has_jumped = late > drift + (MOST_JUMP if self._is_known else LEAST_JUMP) \
+            or step < 0.0 and late > LEAST_JUMP or delay < -LEAST_JUMP
+        before, self._doubted = self._doubted, None
+        if has_jumped or delay < -MOST_BELOW - drift:
+            self._doubted = ticks, arrival
+            if before is None or abs(
+                    arrival - before[1] - _seconds(before[0], ticks)) > MOST_BELOW + drift:
                 return None
-            step = inf         # there is no time before this one
-        at = self._on_line[1] + self._slope * (board - self._on_line[0])
-        delay = arrival - at
-        if delay < -MOST_EARLY:
-            self.reset()
-            return None
-        if step < SMOOTHED:      # an older time keeps its distance from the newest
-            at += (self._returned + self._slope * step - at) * min(1 - step / SMOOTHED, 1.0)
-        if at > arrival:
-            at = arrival
+            if has_jumped:         # the board began anew, at the point before
+                self._begin(*before)
+                return self.measured_at(ticks, arrival)
         if step >= 0.0:
-            if at < self._returned:
-                at = self._returned
-            self._returned = at
             self._add(ticks, (board, arrival), delay)
+        if not self._is_known:
+            return None
+        at = self._line_at(board)
+        if self._returned > -inf and step < SMOOTHED:
+            # An older time keeps its distance from the newest.
+            at += (self._returned + self._slope * step - at) * min(1 - step / SMOOTHED, 1.0)
+        at = min(at, arrival)
+        if step >= 0.0:
+            at = self._returned = max(at, self._returned)
         return at
+
+    def _begin(self, ticks: int, arrival: float) -> None:
+        self.reset()
+        self._add(ticks, (0.0, arrival), 0.0)
+
+    def _line_at(self, board: float) -> float:
+        return self._on_line[1] + self._slope * (board - self._on_line[0])
 
     def _add(self, ticks: int, point: _Point, delay: float) -> None:
         """Add the newest point."""
@@ -108,6 +117,8 @@ class BoardClock:
         if delay < self._least_delay:
             self._least_delay = delay
             self._least = point
+        if delay <= 0.0 and not self._is_known:     # it was delayed least so far
+            self._on_line = point
         if point[0] >= self._drawn_until:
             self._draw_line()
 
@@ -152,3 +163,8 @@ def _add_to_hull(hull: List[_Point], point: _Point) -> None:
     if hull and hull[-1][0] == board:     # of two at one time the earlier arrival counts
         point = min(point, hull.pop())
     hull.append(point)
+
+
+def _seconds(before: int, after: int) -> float:
+    """The time from one number of ticks to another, which may be the earlier one."""
+    return ((after - before + _HALF) % (2 * _HALF) - _HALF) / 1e6

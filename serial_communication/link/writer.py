@@ -71,7 +71,7 @@ class Writer:
         if not may_be_old and self.is_silent:
             raise Refused('the board is silent, so the other side of the pseudo terminal may hold '
                           'it back', 'silent')
-        if self.output.stands:
+        if self.output.stands and not self._session.FENCED:     # whose requests wait anyway
             raise Refused('the port takes no data', 'busy')
 
     def opened(self, now: float) -> None:

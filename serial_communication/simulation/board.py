@@ -2,16 +2,16 @@
 import argparse
 import threading
 import time
-from typing import Any, Callable, Optional
+from typing import Callable, Optional
 
 from ..framing.frame_timer import FrameTimer
 from ..framing.stream import Decoder, Frame
 from ..transport.pace import set_priority
 from ..transport.port import Port, PortError
+from .faults import Faults
 from .line import SimulatedLine
 
 FRAME_TIMEOUT = 0.05     # s without a byte after which an incomplete frame is given up
-_LATE = 0.01             # s; being woken later than this is noted in the journal
 _REALTIME_PRIORITY = 10  # lower than that of the bridge's heartbeat
 
 
@@ -39,12 +39,11 @@ class Board:
 
     NAME = ''
     SUMMARY = ''                         # one line for --help
-    FAULTS = ''                          # the faults of ``--fault all``: see faults.py
+    FAULTS = ''                          # the faults of ``--faults all``: see faults.py
     READS = True                         # False: it only sends
     HAS_CLOCK = False                    # True: it can send its time
     MEASURES_PACE = False                # True: it needs to be woken in time, as for heartbeats
     CHATTER = b''                        # bytes that it sends at a reset
-    DELIMITER: Optional[bytes] = None    # byte that a decoder needs before a frame; None: nothing
     line: SimulatedLine                  # which sets it
 
     @classmethod
@@ -90,7 +89,7 @@ class Board:
         times = [self.advance(now), self._timer.due(self._last_byte)]
         return min((due for due in times if due is not None), default=None)
 
-    # -- hooks ----------------------------------------------------------------------------
+    # -- hooks, which use the line: send, note, say -----------------------------------------
 
     def frame(self, frame: Frame, now: float) -> None:
         """A frame was received, valid or invalid."""
@@ -98,24 +97,6 @@ class Board:
     def advance(self, now: float) -> Optional[float]:
         """Advance the state to `now`; return when to be called next at the latest, or None."""
         return None
-
-    def fields(self, frame: bytes, message: Any) -> dict:
-        """The fields of the journal for a frame that is sent."""
-        raise NotImplementedError
-
-    # -- for subclasses ---------------------------------------------------------------------
-
-    def send(self, frame: bytes, message: Any) -> None:
-        """Send a frame; boards send in no other way."""
-        self.line.send(frame, self.fields(frame, message))
-
-    def note(self, event: str, **fields: Any) -> None:
-        """Write a line to the journal."""
-        self.line.note(event, **fields)
-
-    def say(self, text: str) -> None:
-        """Print a line for people."""
-        self.line.say(text)
 
 
 class Runner:
@@ -127,53 +108,43 @@ class Runner:
         board: switched on when the port is opened for the first time.
         port: the runner alone opens and closes it.
         say: called with lines for people.
-        realtime: ask for real-time priority, for a board that measures intervals.
-        line_arguments: those of `SimulatedLine`.
+        faults: None: no faults.
     """
 
     def __init__(self, board: Board, port: Port, say: Callable[[str], None] = lambda text: None,
-                 realtime: bool = False, **line_arguments: Any) -> None:
+                 faults: Optional[Faults] = None) -> None:
         self.port = port
-        self.line = SimulatedLine(board, port.write, say=say, **line_arguments)
+        self.line = SimulatedLine(board, port.write, faults, say=say)
         self._say = say
-        self._realtime = realtime
         self._stopping = threading.Event()
         self._trouble = ''         # why the port is closed, as it was printed last
         self._powered = False
 
     def stop(self) -> None:
-        """Make `run` return soon; to be called from another thread."""
+        """Make `run` return soon; from another thread, or a signal's handler."""
         self._stopping.set()
         self.port.wake()
 
     def run(self) -> None:
         """Run the board in this thread."""
-        if self._realtime:
+        if self.line.board.MEASURES_PACE:
             set_priority(_REALTIME_PRIORITY)
         while not self._stopping.is_set():
             try:
                 self.port.open()
-            except PortError as error:
-                self._not_open(str(error))
-                self._pause()
-                continue
-            self._trouble = ''
-            self._say(f'{self.port.url}: open')
-            self.line.opened(time.monotonic())
-            if not self._powered:     # the first opening is as if its USB plug were put in
-                self._powered = True
-                self.line.start(time.monotonic())
-            try:
+                self._trouble = ''
+                self._say(f'{self.port.url}: open')
+                if not self._powered:     # the first opening is as if its USB plug were put in
+                    self._powered = True
+                    self.line.start(time.monotonic())
                 self._serve()
             except PortError as error:
-                self._not_open(str(error), '; opening it again when it returns')
+                if self._trouble != str(error):
+                    self._trouble = str(error)
+                    self._say(f'{self.port.url}: {error}')
             self.port.close()
-            self.line.closed(time.monotonic())
-
-    def _not_open(self, trouble: str, remedy: str = '') -> None:
-        if trouble != self._trouble:
-            self._trouble = trouble
-            self._say(f'{self.port.url}: {trouble}{remedy}')
+            self.line.closed()
+            self._pause()
 
     def _pause(self) -> None:
         """Run the board until the port is tried again."""
@@ -183,19 +154,13 @@ class Runner:
             self.port.pause(min(end, end if due is None else due) - time.monotonic())
 
     def _serve(self) -> None:
-        now = time.monotonic()
         while not self._stopping.is_set():
+            now = time.monotonic()
             due = self.line.tick(now)
-            if due is not None:
-                due = max(due, now)     # else an event that was already due would count as late
-            timeout = None if due is None else due - now
+            timeout = None if due is None else max(due - now, 0.0)
             if self.line.stalled(now):
                 self._stopping.wait(timeout)
-                data = b''
-            else:
-                data = self.port.read(timeout)
-            now = time.monotonic()
-            if due is not None and now > due + _LATE:
-                self.line.note('late', by=round(now - due, 4))
+                continue
+            data = self.port.read(timeout)
             if data:
-                self.line.receive(data, now)
+                self.line.receive(data, time.monotonic())

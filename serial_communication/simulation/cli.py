@@ -1,11 +1,9 @@
 """The program: one simulated board on one serial port, until it is stopped."""
 import argparse
 import importlib
-import os
 import re
 import signal
 import sys
-import threading
 import time
 from random import SystemRandom
 from typing import Any, List, NoReturn, Optional, Type
@@ -17,9 +15,8 @@ from ..transport.pace import Allowance
 from ..transport.port import Port
 from ..transport.urls import url_argument
 from . import faults
-from .board import Board, Runner, positive
+from .board import Board, Runner
 from .custom_messages import add_options, announced_text
-from .journal import Journal
 from .own_pty import OwnPty
 
 _STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -29,10 +26,10 @@ _LONGEST = 150               # characters of a line
 _EXAMPLES = """\
 examples (each with  rosrun serial_communication  before it, or in a checkout with  scripts/):
   simulator bus --link /tmp/bus                 /tmp/bus is the bridge's port
-  simulator bus --link /tmp/bus --fault late=0.05 --fault reset=1/min
+  simulator bus --link /tmp/bus --faults 'delay=0.05:0.6-1 reset=1/min'
   simulator arduino --link /tmp/car --calibration-time 60
-  simulator mcu --link /tmp/mcu --adc --rate 50 --journal mcu.jsonl
-  simulator arduino --link /tmp/car --fault all --seed 7
+  simulator mcu --link /tmp/mcu --adc --rate 50
+  simulator arduino --link /tmp/car --faults all --seed 7
   simulator my_package --link /tmp/mine         a board of another package: see doc/developing.md
 
 On a port that is there already, here one end of a pair of linked ports:
@@ -49,60 +46,25 @@ def main(arguments: Optional[List[str]] = None) -> int:
     options = _parse(sys.argv[1:] if arguments is None else arguments)
     say = _Printer(options.board)
     try:
-        journal = Journal(options.journal) if options.journal else None
-    except OSError as error:
-        print(f'journal {options.journal}: {error.strerror}', file=sys.stderr)
-        return 1
-    # Threads inherit the mask, so only sigwait below receives these signals.
-    signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
-    try:
         port = Port(options.port, options.baud) if options.port else OwnPty(options.link)
     except OSError as error:
         print(f'link {options.link}: {error.strerror}', file=sys.stderr)
         return 1
     board_faults = faults.Faults(options.rates, options.seed)
-    board = options.board_class.from_options(options)
-    runner = Runner(board, port, say, board.MEASURES_PACE, faults=board_faults, journal=journal,
-                    baud=options.baud if options.baud_pace else 0)
-    rates = {name: str(rate) for name, rate in options.rates.items()}
-    if rates:
-        say(f'seed {options.seed}, faults '
-            + ' '.join(f'{name}={rate}' for name, rate in rates.items()))
-    if journal:
-        journal.write(time.monotonic(), 'start', {
-            'board': options.board, 'port': port.url, 'pid': os.getpid(),
-            'seed': options.seed, 'faults': rates})
-    status: List[int] = []
-    thread = threading.Thread(target=_run, args=(runner, status), name='board', daemon=True)
-    thread.start()
-    if options.duration:
-        signal.sigtimedwait(_STOPS, options.duration)
-    else:
-        signal.sigwait(_STOPS)
-    runner.stop()
-    thread.join(1.0)
-    if isinstance(port, OwnPty):
-        port.remove()
-    if journal:
-        journal.write(time.monotonic(), 'end', {'frames': runner.line.frames,
-                                                'faults': board_faults.counts})
-        journal.close()
-        if journal.trouble:
-            say(journal.trouble)
-    if rates:
-        counts = ', '.join(f'{name} {count}' for name, count in board_faults.counts.items())
-        say(f'{runner.line.frames} frames; faults: {counts or "none"}')
-    say.end()
-    return status[0] if status else 0
-
-
-def _run(runner: Runner, status: List[int]) -> None:
+    runner = Runner(options.board_class.from_options(options), port, say, board_faults)
+    for number in _STOPS:
+        signal.signal(number, lambda *_: runner.stop())
+    if options.rates:
+        say(f'seed {options.seed}, faults {options.faults}')
     try:
         runner.run()
-    except BaseException:
-        status.append(1)
-        os.kill(os.getpid(), signal.SIGTERM)    # wakes the main thread
-        raise
+    finally:
+        if isinstance(port, OwnPty):
+            port.remove()
+    if options.rates:
+        counts = ', '.join(f'{name} {count}' for name, count in board_faults.counts.items())
+        say(f'{runner.line.frames} frames; faults: {counts or "none"}')
+    return 0
 
 
 class _Printer:
@@ -124,14 +86,7 @@ class _Printer:
             self._left_out = 0
         try:
             print(f'{self._name}: {text}', flush=True)
-        except (OSError, ValueError):
-            pass
-
-    def end(self) -> None:
-        """Flush standard output; if it is closed, discard the rest, which Python would report."""
-        try:
-            sys.stdout.flush()
-        except (OSError, ValueError):
+        except OSError:
             no_more_output()
 
 
@@ -142,11 +97,10 @@ class _Parser(argparse.ArgumentParser):
     """Reports a wrong argument in one line, without the usage."""
 
     def error(self, message: str) -> NoReturn:
-        signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
         print(f'{self.prog}: {message}. Try: {self.prog} --help', file=sys.stderr, flush=True)
         if any(each.startswith('__log:=') for each in sys.argv):
             # Started by roslaunch, which would start it again and again with the same arguments.
-            signal.sigwait(_STOPS)
+            signal.pause()
         sys.exit(2)
 
 
@@ -158,20 +112,19 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         description='A simulated board on a serial port, for trying a bridge without hardware.')
     boards = parser.add_subparsers(dest='board', metavar='BOARD', required=True)
-    for name in (*BOARDS, *_of_another_package(arguments)):
+    of_another_package = [name for name in arguments[:1] if re.fullmatch(r'\w+(\.\w+)*', name)
+                          and name not in BOARDS]
+    for name in (*BOARDS, *of_another_package):
         try:
             _add(boards, name, description(name))
         except BoardError as error:
             parser.error(f'there is no board {name}, only {", ".join(BOARDS)}, and it is not a '
                          f'package with a board: {error}')
     options = parser.parse_args(arguments)
-    options.announcement = None
     try:
-        if getattr(options, 'announce', False):
-            options.announcement = announced_text(options.board, options.config)
-        options.rates = faults.parse(
-            faults.for_every_board(options.faults, options.board_class) + options.fault,
-            options.board_class)
+        options.announcement = announced_text(options.board, options.config) \
+            if getattr(options, 'announce', False) else None
+        options.rates = faults.parse(options.faults, options.board_class)
     except ValueError as error:
         parser.error(str(error))
     if options.baud is None:
@@ -181,17 +134,9 @@ def _parse(arguments: List[str]) -> argparse.Namespace:
     return options
 
 
-def _of_another_package(arguments: List[str]) -> List[str]:
-    """The first argument, if it may be the name of another package's board."""
-    return [name for name in arguments[:1] if re.fullmatch(r'\w+(\.\w+)*', name)
-            and name not in BOARDS]
-
-
 def _add(boards: Any, name: str, described: Description) -> None:
     module = importlib.import_module(described.package + '.simulator')
-    board = getattr(module, 'BOARD', None)
-    if not isinstance(board, type) or not issubclass(board, Board):
-        raise BoardError(f'the module {module.__name__!r} has no BOARD')
+    board: Type[Board] = module.BOARD
     parser = boards.add_parser(
         name, help=board.SUMMARY, formatter_class=argparse.RawDescriptionHelpFormatter,
         description=module.__doc__, epilog=_fault_help(board))
@@ -202,22 +147,10 @@ def _add(boards: Any, name: str, described: Description) -> None:
     port.add_argument('--port', type=_port,
                       help='use this device or URL that pyserial opens, and make none')
     parser.add_argument('--baud', type=int, help=f'(that of --config, or {described.baud})')
-    parser.add_argument('--baud-pace', action='store_true',
-                        help='send no faster than --baud; a pseudo terminal has no speed itself')
-    parser.add_argument('--fault', action='append', default=[], metavar='KIND=RATE[:S]',
-                        help='see below; may be given more than once')
-    parser.add_argument('--faults', default='', metavar="'KIND=RATE …'",
-                        help='several faults for boards of any kind; those that this board cannot '
-                             'have are left out')
-    for kind, unit in ('drift', 'PPM'), ('batch', 'MS'):
-        parser.add_argument('--' + kind, type=(kind + '={}').format, action='append', dest='fault',
-                            metavar=unit, help=f'the same as --fault {kind}={unit}')
+    parser.add_argument('--faults', default='', metavar="'KIND=RATE[:S] …'",
+                        help='see below; those that this board cannot have are left out')
     parser.add_argument('--seed', type=int, metavar='N',
                         help='of faults and noise; the same seed repeats a run')
-    parser.add_argument('--journal', metavar='FILE',
-                        help='append all events, one JSON object per line (described in '
-                             'serial_communication/simulation/journal.py)')
-    parser.add_argument('--duration', type=positive, metavar='S', help='end after S seconds')
     board.add_options(parser)
     add_options(parser, described)
 
@@ -227,12 +160,9 @@ def _fault_help(board: Type[Board]) -> str:
              'silence=2/min:0.5-2']
     for name, kind in faults.KINDS.items():
         if faults.fits(name, board):
-            lasts = ' ({:g}-{:g} s)'.format(*kind.seconds) if kind.seconds else ''
+            lasts = ' ({:g}-{:g} s)'.format(*kind.seconds) if any(kind.seconds) else ''
             lines.append(f'  {name:10} {kind.text}{lasts}')
-    mix = board.FAULTS.split()
-    lines.append(f'  {"all":10} {" ".join(mix[:6])}')
-    lines += [' ' * 13 + ' '.join(mix[at:at + 6]) for at in range(6, len(mix), 6)]
-    return '\n'.join(lines)
+    return '\n'.join((*lines, f'  {"all":10} {board.FAULTS}'))
 
 
 def _port(text: str) -> str:

@@ -9,15 +9,14 @@ import select
 import termios
 import time
 import tty
-from contextlib import contextmanager, suppress
-from typing import Iterator, Optional
+from contextlib import suppress
+from typing import Optional
 
 from ..transport.open_port import OpenPort
 from ..transport.port import Port, PortError
 
-_LOOK_AGAIN = 0.01     # s
 _READ_SIZE = 65536
-_OTHERS = 1.0          # s until other simulators, which are ended with this one, have ended
+_LOOK_AGAIN, _OTHERS = 0.01, 1.0     # s until other simulators, which end with this one, have ended
 
 
 class OwnPty(Port):
@@ -41,8 +40,6 @@ class OwnPty(Port):
         tty.setraw(slave)
         os.close(slave)
         os.set_blocking(self._master, False)
-        self._poll = select.poll()
-        self._poll.register(self._master, select.POLLIN)
         self._made = ''        # the folder of the link, if this program has made it
         if link:
             folder = os.path.dirname(os.path.abspath(link))
@@ -60,20 +57,21 @@ class OwnPty(Port):
                 os.unlink(self._link)
         end = time.monotonic() + _OTHERS
         while self._made and time.monotonic() < end:
-            try:
+            with suppress(OSError):
                 os.rmdir(self._made)
-                return
-            except OSError:
-                time.sleep(_LOOK_AGAIN)
+                self._made = ''
+            time.sleep(_LOOK_AGAIN)
 
     def _open(self) -> OpenPort:
-        if any(event & select.POLLHUP for _, event in self._poll.poll(0)):
+        poll = select.poll()
+        poll.register(self._master, select.POLLIN)
+        if any(event & select.POLLHUP for _, event in poll.poll(0)):
             raise PortError('waiting for a program that opens it')
         return _Master(self._master, self._name, self._wake_read)
 
 
 class _Master(OpenPort):
-    """The board's end, while another program has the other end open."""
+    """The board's end, while another program has the other end open; else EIO is raised."""
 
     is_pty = True
 
@@ -86,7 +84,7 @@ class _Master(OpenPort):
     def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
         ready, _, _ = select.select([self._master, self._wake],
                                     [self._master] if wants_room else [], [], timeout)
-        with suppress(BlockingIOError), _closed_by_other():
+        with suppress(BlockingIOError):
             if self._wake in ready:
                 os.read(self._wake, _READ_SIZE)
             if self._master in ready:
@@ -94,8 +92,7 @@ class _Master(OpenPort):
         return b''
 
     def send(self, data: bytes) -> int:
-        with _closed_by_other():
-            return os.write(self._master, data)
+        return os.write(self._master, data)
 
     def close(self) -> None:
         """Drop what was written but not read."""
@@ -104,14 +101,3 @@ class _Master(OpenPort):
             slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
             termios.tcflush(slave, termios.TCIFLUSH)
             os.close(slave)
-
-
-@contextmanager
-def _closed_by_other() -> Iterator[None]:
-    """Say in words for people why the system gives EIO."""
-    try:
-        yield
-    except BlockingIOError:
-        raise
-    except OSError:
-        raise PortError('the other program has closed it') from None

@@ -160,8 +160,8 @@ def test_a_clock_that_jumps_begins_again(jump):
     assert 49 <= len(errors) <= 51 and p99(errors) < 1e-4
 
 
-@pytest.mark.parametrize('dead', [0.065, 0.3, 0.9])
-@pytest.mark.parametrize('points', [5, 8, 10])
+@pytest.mark.parametrize('dead', [0.12, 0.3, 0.9])
+@pytest.mark.parametrize('points', [1, 2, 5, 10])
 def test_a_board_that_is_reset_just_after_its_start_begins_again(points, dead):
     """As when the current of its motors makes its supply fail: its clock is hardly set back."""
     clock, board = BoardClock(), Board()
@@ -216,7 +216,25 @@ def test_a_time_with_a_wrong_bit_makes_no_other_time_wrong(bit):
     true, ticks = board.measure()
     clock.measured_at(ticks ^ 1 << bit, true)
     errors += errors_of(clock, board, take(400, usual()))
-    assert len(errors) > 550 and -0.011 < min(errors) <= max(errors) < 1e-3
+    assert len(errors) > 690 and -0.0045 < min(errors) <= max(errors) < 1e-3
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_with_one_time_in_ten_damaged_in_one_byte_stamps_are_no_worse_than_those_of_the_reads(
+        seed):
+    """The line stands for 80 ms each 5 s. test/bench/board_time.py measures more lines."""
+    clock, board, source = BoardClock(), Board(0.004, wander=3e-6), random.Random(seed)
+    stamps, reads, arrival = [], [], 0.0
+    for index in range(3000):
+        true, ticks = board.measure(0.05)
+        late = max(1e-4, 0.08 - (index % 100 + source.random()) * 0.05)
+        arrival = max(arrival, true + late)
+        if source.random() < 0.1:
+            ticks ^= source.randrange(1, 256) << 8 * source.randrange(4)
+        at = clock.measured_at(ticks, arrival)
+        stamps.append((arrival if at is None else at) - true)
+        reads.append(arrival - true)
+    assert p99(stamps) <= p99(reads)
 
 
 def test_points_of_before_a_silence_longer_than_the_window_are_forgotten():

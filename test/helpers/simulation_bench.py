@@ -1,19 +1,5 @@
 """Runs simulated boards for tests with simulated time."""
-from serial_communication.transport.port import PortBusy, PortError
 from serial_communication.simulation.line import SimulatedLine
-
-
-class Notes(list):
-    """A journal in memory: (time, event, fields)."""
-
-    def write(self, now, event, fields):
-        self.append((now, event, dict(fields)))
-
-    def flush_due(self, now):
-        return None
-
-    def of(self, *events):
-        return [fields for _, event, fields in self if event in events]
 
 
 class Bench:
@@ -25,20 +11,16 @@ class Bench:
         self.now = 1000.0
         self.wire = []          # (time, bytes)
         self.said = []
-        self.notes = Notes()
-        self.busy = self.closed = False
-        self.line = SimulatedLine(board, self._write, journal=self.notes, say=self.said.append,
-                                  **line_arguments)
-        self.line.opened(self.now)
+        self._notes = []        # (event, fields)
+        self.line = SimulatedLine(board, lambda data: self.wire.append((self.now, data)),
+                                  note=lambda _now, *note: self._notes.append(note),
+                                  say=self.said.append, **line_arguments)
         self.line.start(self.now)
         self._taken = 0
 
-    def _write(self, data):
-        if self.closed:
-            raise PortError('the port is closed')
-        if self.busy:
-            raise PortBusy('the port takes no data')
-        self.wire.append((self.now, data))
+    def notes(self, event):
+        """The fields of these events."""
+        return [fields for each, fields in self._notes if each == event]
 
     def run(self, seconds, until=None):
         """Advance the time by `seconds`, or until `until` is true; False if it never was.

@@ -1,10 +1,13 @@
 """The picture of stamps with and without the board's time: errors behind an adapter of 16 ms."""
-import json
+import threading
 import time
 
-from boards import program, until
-from serial_communication.boards.arduino import wire
+from boards import until
 from links import ArduinoLink
+from serial_communication.boards.arduino import wire
+from serial_communication.boards.arduino.simulator import ModelCar
+from serial_communication.simulation.board import Runner
+from serial_communication.simulation.faults import Faults, parse
 from serial_communication.transport.port import Port
 
 SECONDS, DRIFT, BATCH = 5.0, 300, 16     # DRIFT in ppm, BATCH in ms
@@ -15,12 +18,20 @@ font: 15px "DejaVu Sans", sans-serif; fill: #333 } .title { font-size: 17px; fon
 .read { fill: #d1495b } .board { fill: #00798c } line { stroke: #ddd }'''
 
 
-def measure(running, folder, line):
-    """The points (s, error of the read's stamp in ms, error of the board's) of each turn.
+class Car(ModelCar):
+    """Knows when it was switched on."""
 
-    `running` is that of take_pictures, `line` a pair of ports.
-    """
-    journal, points = folder / 'stamps.jsonl', []
+    booted = 0.0
+
+    def power_on(self, now):
+        self.booted = now
+        super().power_on(now)
+
+
+def measure(line):
+    """The points (s, error of the read's stamp in ms, error of the board's) of each turn, on a pair
+    of ports."""
+    points, car = [], Car()
     latest = {}      # the latest TIME: its value, and the stamp of its read
     link = ArduinoLink(Port(line.near), clock=time.monotonic, on_message=lambda message, stamp:
                        isinstance(message, wire.Ticks) and points.append((*latest.values(), stamp)))
@@ -30,17 +41,17 @@ def measure(running, folder, line):
             latest.update(ticks=frame.ticks, read=frame.stamp)
     link.tap = shown
     link.start()
-    with running(program('simulator'), 'arduino', '--port', line.far, '--drift', str(DRIFT),
-                 '--batch', str(BATCH), '--journal', str(journal)):
-        until(lambda: len(points) >= 100 * SECONDS, 'the car has sent', 60)
-    link.stop()
+    runner = Runner(car, Port(line.far),
+                    faults=Faults(parse(f'drift={DRIFT} batch={BATCH}', car)))
+    threading.Thread(target=runner.run, daemon=True).start()
+    until(lambda: len(points) >= 100 * SECONDS, 'the car has sent', 60)
+    for each in runner, link:
+        each.stop()
     link.join()
-    booted = next(event['t'] for event in map(json.loads, journal.read_text().splitlines())
-                  if event['ev'] == 'boot')
     found = []
     for ticks, read, stamp in points:
         at = ticks / (1e6 + DRIFT)
-        found.append((at, (read - booted - at) * 1e3, (stamp - booted - at) * 1e3))
+        found.append((at, (read - car.booted - at) * 1e3, (stamp - car.booted - at) * 1e3))
     return found
 
 

@@ -184,7 +184,7 @@ def take_faulty(browser, folder, out):
             stack.callback(line.unplug)
             stack.enter_context(running(
                 program('simulator'), name, '--port', line.far, '--seed', '7',
-                *(['--fault', 'flip=0.005'] if name == 'arduino' else [])))
+                *(['--faults', 'flip=0.005'] if name == 'arduino' else [])))
         bridge = Bridge(parameters={f'{name}/port': line.near for name, line in lines.items()})
         stack.callback(bridge.end)
         driving(stack)
@@ -238,7 +238,7 @@ def take_settings(browser, folder, out):
 def take_stamps(browser, folder, out):
     """Take the picture of stamps."""
     line = Line(str(folder / 'stamps')).plug()
-    points = stamps_picture.measure(running, folder, line)
+    points = stamps_picture.measure(line)
     line.unplug()
     path = folder / 'stamps.html'
     path.write_text(stamps_picture.page(points))

@@ -107,7 +107,7 @@ class ExternalBoard(unittest.TestCase):
         self.assertFalse(rospy.has_param('/serial_communication/wind/announced'))
 
     def test_its_simulator_works_like_the_built_in_ones_and_the_monitor_shows_its_link(self):
-        self.start('simulator', 'wind_sensor', '--port', self.line.far, '--fault', 'drop=0.1',
+        self.start('simulator', 'wind_sensor', '--port', self.line.far, '--faults', 'drop=0.1',
                    '--seed', '1')
         self.wind.next(lambda m: abs(hypot(m.vector.x, m.vector.y) - 5) < 1e-6)
         self.diagnostics.fresh('wind', lambda s: s.level == OK, 'the link is OK')

@@ -33,12 +33,19 @@ class Evidence:
         end = story.world.time if story.ended is None else story.ended
         self.openings: List[Interval] = []
         closings = iter(device.closings)
+        # A port that is lent, and a connection in doubt, are given up; the link's thread closes them.
+        given_up = [asked for asked, _, name, task in story.tasks
+                    if name == 'lend' and task.answer[0]]
+        given_up += device.flushes if device.kind == 'network' else []
         for opened in device.openings:
             # The bridge may not notice at once that the device is gone.
-            gone = [begin for begin, _ in self.events('unplugged', 'cut') if begin >= opened]
+            gone = [begin for begin in given_up + [
+                begin for begin, _ in self.events('unplugged', 'cut')] if begin >= opened]
             self.openings.append((opened, min([next(closings, end), end, *gone])))
         starts = [opened for opened, _ in self.openings]
         self.wrote = decoded(device.bridge_wrote, sent_at, starts)
+        if self.kind != 'bus':      # a doubt begins with the next byte
+            starts = sorted(starts + [each + 1e-9 for each in device.flushes])
         self.read = decoded(device.bridge_read, read_at, starts)
         # Those that a decoder may find, whatever it gives up, and when.
         self.readable = decoded(device.bridge_read, read_at, starts, anywhere=True)

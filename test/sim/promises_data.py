@@ -1,6 +1,6 @@
 """What is promised of data, settings and ports."""
 import struct
-from typing import Dict, Iterator, List, Tuple
+from typing import Dict, List, Tuple
 
 from evidence import At, Evidence, longer, overlaps
 from promises import FRESH, IMU, SETTING, SLACK, STALL, Verdicts
@@ -125,22 +125,9 @@ def stamps_are_of_the_read(e: Evidence) -> Verdicts:
 
 def stamps_are_of_the_measurement(e: Evidence) -> Verdicts:
     """With the board's time an undamaged line has stamps within 7 ms of the measurement."""
-    for is_sure, verdict in _stamps(e):
-        if is_sure:
-            yield verdict
-
-
-def a_reset_begins_a_new_line(e: Evidence) -> Verdicts:
-    """Stamps are within 7 ms also after a board that was hardly up has begun anew."""
-    for _, verdict in _stamps(e):
-        yield verdict
-
-
-def _stamps(e: Evidence) -> Iterator[Tuple[bool, Tuple[int, str]]]:
     device, drift = e.story.device, e.story.drift
     if drift is None or any(device.damage_received) or e.events('noise', 'altered'):
         return
-    boots = [time for time, event, _ in e.story.far.notes if event == 'boot']
     measured: Dict[Tuple, List[float]] = {}     # the ranges of the sensors may come again
     for frame in valid(e.sent):
         if frame.type in (IMU, 0x10):
@@ -157,10 +144,8 @@ def _stamps(e: Evidence) -> Iterator[Tuple[bool, Tuple[int, str]]]:
             longer(e.stalls[0], STALL) + e.events('reset', 'silence') + [
                 (each, each) for each in device.flushes], time - 3.0, time)
         at = min(times, key=lambda each: abs(each - stamp))
-        again = any(later - boot < 2.1 and later > time - 13.0
-                    for boot, later in zip(boots, boots[1:]))
-        yield not again, (not excused, '' if excused or abs(stamp - at) <= 0.007 else
-                          f'{name} of {at:.4f} has the stamp {stamp:.4f}, published {time:.4f}')
+        yield not excused, '' if excused or abs(stamp - at) <= 0.007 else \
+            f'{name} of {at:.4f} has the stamp {stamp:.4f}, published {time:.4f}'
 
 
 def silence_is_reported(e: Evidence) -> Verdicts:

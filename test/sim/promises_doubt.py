@@ -18,7 +18,12 @@ def _drives(e: Evidence) -> bool:
 
 def _stalls(e: Evidence, loop: int = 0) -> Iterator[Interval]:
     """The stalls of a loop in which the port was open, and stayed so."""
+    # Where it is suspended in a write, it has run at the end of the stall before.
+    wrote = {chunk.time for chunk in e.story.device.bridge_wrote}
     for begin, end in longer(merged(e.stalls[loop]), 0.55):
+        if any(begin < each < end and any(abs(each - time) < 1e-6 for time in wrote)
+               for _, each in e.stalls[loop]):
+            continue
         opened, closed = e.opening_of(begin)
         if opened < begin and end < closed:
             yield begin, end

@@ -5,7 +5,7 @@ from typing import Any, Callable, Iterator, Set, Tuple
 
 from by_definition import arduino_at, decode, mcu_at, reply_at, request_at
 from evidence import FRAME_TIMEOUT, Evidence, longer, merged, overlaps
-from promises import FRESH, HEARTBEAT, IMU, SETTING, SLACK, STALL, Verdicts
+from promises import FRESH, HEARTBEAT, IMU, SETTING, SLACK, STALL, TIME, Verdicts
 from promises_data import LAYOUTS, are_implausible, setting
 
 _RX, _TX = 0, 1
@@ -84,7 +84,7 @@ def frames_are_counted(e: Evidence) -> Verdicts:
             count = sum(each == direction and not cause for each, _, cause in frames)
             yield 1, '' if report[name] == count else \
                 f'{name} at {time:.3f}: {report[name]}, tapped {count}'
-        if _is_calm(e) and len(e.openings) == 1:
+        if _is_calm(e) and len(e.openings) == 1 and not e.story.device.flushes:
             data = b''.join(chunk.data for chunk in e.story.device.bridge_read[:read])
             count = len(decode(data, _decoders(e)[0])[0])
             yield 1, '' if report['frames received'] == count else \
@@ -392,13 +392,20 @@ def wanted_settings_return(e: Evidence) -> Verdicts:
 
 
 def damage_does_not_bend_the_line(e: Evidence) -> Verdicts:
-    """A damaged TIME makes no other stamp early."""
+    """A damaged TIME makes no other stamp early, by more than 7 ms."""
     device = e.story.device
     if e.story.drift is None or not any(device.damage_received) or e.kind != 'arduino':
         return
-    measured = {struct.unpack('>11h', frame.data): frame.time for frame in e.of_type(e.sent, IMU)}
+    measured = {frame.data: frame.time for frame in e.of_type(e.sent, IMU)}
+    times = {frame.data for frame in e.of_type(e.sent, TIME)}
+    undamaged, is_damaged = {}, False      # Imus behind a TIME that was sent
+    for frame in e.of_type(e.readable, IMU, TIME):
+        if frame.type == TIME:
+            is_damaged = frame.data not in times
+        elif frame.data in measured and not is_damaged:
+            undamaged[struct.unpack('>11h', frame.data)] = measured[frame.data]
     for time, name, values, stamp in e.story.robot.published:
-        at = measured.get(tuple(values)) if name == 'Imu' else None
+        at = undamaged.get(tuple(values)) if name == 'Imu' else None
         if at is not None:
-            yield 1, '' if stamp >= at - 0.005 else \
+            yield 1, '' if stamp >= at - 0.007 else \
                 f'Imu of {at:.4f} has the stamp {stamp:.4f}, published at {time:.4f}'

@@ -81,8 +81,8 @@ class FarEnd:
     def put(self, board: Any) -> None:
         """Connect this board, which starts now."""
         self.board = board
-        self.line = line_of(board, self._device.from_board, self, self._drift)
-        self.line.opened(self._world.time)
+        self.line = line_of(board, self._device.from_board,
+                            lambda *note: self.notes.append(note), self._drift)
         self.line.start(self._world.time)
         self._due = float('inf')
         self._tick()
@@ -106,15 +106,6 @@ class FarEnd:
         if wanted is not None:
             line, at = self.line, self._due
             self._world.at(at, lambda: self._tick(at) if line is self.line else None)
-
-    # -- the journal of the line --------------------------------------------------------------
-
-    def write(self, now: float, event: str, fields: dict) -> None:
-        if event in ('executed', 'boot', 'motor', 'calibrate'):
-            self.notes.append((now, event, fields))
-
-    def flush_due(self, _now: float) -> None:
-        return None
 
 
 class Story:

@@ -18,8 +18,8 @@ class ControlBoard(BusBoard):
         return reply._replace(data=request.data) if reply.data else reply
 
 
-def line_of(board: Any, write: Callable[[bytes], None], journal: Any,
+def line_of(board: Any, write: Callable[[bytes], None], note: Callable[[float, str, dict], None],
             drift: Optional[float]) -> SimulatedLine:
     """The board's end of a line; `drift`, ppm: the board sends its time."""
     return SimulatedLine(board, write, Faults(parse(
-        [] if drift is None else [f'drift={drift}'], board)), journal)
+        '' if drift is None else f'drift={drift}', board)), note)

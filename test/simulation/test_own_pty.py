@@ -8,7 +8,6 @@ import threading
 
 import pytest
 from lines import ROOT
-from simulation_bench import Notes
 from waiting import PATIENCE, until
 
 from serial_communication.boards.bus import wire as bus
@@ -28,13 +27,13 @@ def link(tmp_path):
 
 @contextlib.contextmanager
 def running(board, link):
-    """Context in which the board runs on a pseudo terminal of its own; yields its journal."""
-    notes, port = Notes(), OwnPty(link)
-    runner = Runner(board, port, journal=notes)
+    """Context in which the board runs on a pseudo terminal of its own; yields its runner."""
+    port = OwnPty(link)
+    runner = Runner(board, port)
     thread = threading.Thread(target=runner.run, name='board')
     thread.start()
     try:
-        yield notes
+        yield runner
     finally:
         runner.stop()
         thread.join(PATIENCE)
@@ -42,43 +41,30 @@ def running(board, link):
         assert not thread.is_alive() and not os.path.exists(os.path.dirname(link))
 
 
-def of(notes, **fields):
-    """The frames in the journal with these fields."""
-    return [each for each in notes.of('tx') if fields.items() <= each.items()]
-
-
-def assert_nothing_old_is_read(link, notes):
+def assert_nothing_old_is_read(link, line):
     """Open it; return its descriptor after the first frame, which was written since then."""
-    before = notes.of('tx')[-1]['n'] if notes.of('tx') else 0
+    before = line.frames
     bridge = os.open(link, os.O_RDWR | os.O_NOCTTY)
     decoder = mcu.Decoder()
     frames = []
     while not frames:
         frames = decoder.feed(os.read(bridge, 1))
-    raw = frames[0].raw.hex()
-    sent, = until(lambda: of(notes, raw=raw), 'the board notes a frame after it is written')
-    assert sent['n'] > before and 'why' not in sent
+    assert (frames[0].number - before) % 256 < 128      # SEQ counts every frame
     return bridge
 
 
-def test_a_board_goes_on_while_nobody_has_it_open_and_leaves_nothing_old(link):
-    with running(SensorBoard(rate=50), link) as notes:
+@pytest.mark.parametrize('rate, unread', [(50, 5), (1000, 700)], ids=['', 'the port is full'])
+def test_a_board_goes_on_while_nobody_reads_it_and_leaves_nothing_old(link, rate, unread):
+    with running(SensorBoard(rate=rate), link) as runner:
+        line = runner.line
         for _ in range(2):
-            bridge = assert_nothing_old_is_read(link, notes)
-            frames = len(notes.of('tx'))
-            until(lambda: len(notes.of('tx')) > frames + 5, 'frames that nobody reads')
+            bridge = assert_nothing_old_is_read(link, line)
+            frames = line.frames
+            until(lambda: line.frames > frames + unread, 'frames that nobody reads')
             os.close(bridge)
-            frames = len(of(notes, why='closed'))
-            until(lambda: len(of(notes, why='closed')) > frames + 5, 'the board goes on')
-
-
-def test_a_port_that_nobody_reads_loses_frames_and_keeps_none_for_the_next_program(link):
-    with running(SensorBoard(rate=1000), link) as notes:
-        bridge = assert_nothing_old_is_read(link, notes)
-        until(lambda: of(notes, why='busy'), 'the port is full')
-        os.close(bridge)
-        until(lambda: of(notes, why='closed'), 'it is closed')
-        os.close(assert_nothing_old_is_read(link, notes))
+            until(lambda: not runner.port.is_open, 'it sees that it is closed')
+            frames = line.frames
+            until(lambda: line.frames > frames + 5, 'the board goes on')
 
 
 def test_a_link_of_the_bridge_opens_it_again_and_again(link):
@@ -86,8 +72,7 @@ def test_a_link_of_the_bridge_opens_it_again_and_again(link):
         for distance in 10, 20:
             bridge = BusLink(Port(link))
             bridge.start()
-            until(lambda: bridge.session.master.in_step, 'SYNC')
-            assert bridge.lift(0, distance).success
+            until(lambda: bridge.request(bus.lift(0, distance)).success, 'SYNC, and a move')
             bridge.stop()
             bridge.join(PATIENCE)
 

@@ -27,7 +27,6 @@ class Bench:
         self.sent = []
         self.line = SimulatedLine(self.board, self._write)
         self.now = 100.0
-        self.line.opened(self.now)
         self.line.start(self.now)
 
     def _write(self, data):

@@ -53,4 +53,4 @@ DESCRIPTION = Description(
             'The car stops, and its board starts anew.'))),
     heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),
     between=b'\0',
-    network_silence=1.0)
+    network_silence=1.5)

@@ -46,7 +46,6 @@ STEERING_LOCK = math.radians(25)
 BATTERY, SAG, DISCHARGE = 8.2, 0.6, 0.0005   # V; V at full load; V/s at full load
 G = 9.81
 
-_QUOTED = 64               # most bytes of an invalid packet in the journal
 _INFO, _WARN = 1, 2        # severities
 _LEDS = ('left', 'right', 'brake', 'hazard', 'disable')
 
@@ -58,7 +57,6 @@ class ModelCar(Board):
         calibration_time: s.
         seed: seed of the sensors' noise.
         custom: custom messages: those from the board are sent, those to it are shown.
-        lose_stops: the line loses the first SPEED 0 of each stop, as noise may do.
         announcement: the text to announce; None: nothing.
         settings: that the board has.
         period: s between two measurements.
@@ -67,30 +65,26 @@ class ModelCar(Board):
     decoder: wire.BoardDecoder
     NAME = DESCRIPTION.name
     SUMMARY = 'model car: motor, servo, encoder, IMU, battery'
-    FAULTS = ('drop=0.001 cut=0.001 lose=0.001 flip=0.001 insert=0.001 double=0.001 '
-              'delay=6/min late=0.5/min '
+    FAULTS = ('drop=0.001 cut=0.001 lose=0.001 flip=0.001 insert=0.001 double=0.001 delay=0.0003 '
               'rx-drop=0.001 rx-lose=0.001 rx-flip=0.001 rx-insert=0.001 '
               'silence=0.5/min stall=0.5/min reset=0.5/min')
     HAS_CLOCK = True
     MEASURES_PACE = True
     CHATTER = b'\x14\x10avrboot\r\n\xff\x1c\xe0'
-    DELIMITER = b'\0'
 
     @classmethod
     def add_options(cls, parser: argparse.ArgumentParser) -> None:
         parser.add_argument('--calibration-time', type=positive, default=10.0, metavar='S',
                             help='how long an IMU calibration takes (%(default)g; a real board: '
                                  'over 300)')
-        parser.add_argument('--lose-stops', action='store_true',
-                            help='lose the first SPEED 0 of each stop on the line')
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ModelCar':
         return cls(options.calibration_time, options.seed, options.config,
-                   options.lose_stops, options.announcement, options.config.settings)
+                   options.announcement, options.config.settings)
 
     def __init__(self, calibration_time: float = 10.0, seed: int = 0,
-                 custom: Sequence[Row] = (), lose_stops: bool = False,
+                 custom: Sequence[Row] = (),
                  announcement: Optional[bytes] = None, settings: Sequence[Setting] = (),
                  period: float = PERIOD) -> None:
         self._custom = CustomMessagePlayer(custom, announcement, settings)
@@ -106,8 +100,6 @@ class ModelCar(Board):
         self.calibrating = False
         self._calibration_time = calibration_time
         self._calibrated_at = 0.0
-        self._lose_stops = lose_stops
-        self._lost_stop = False    # whether a SPEED 0 was lost since the motor was switched on
         self._kept = b''           # in the receive buffer while calibrating
         self._heartbeat = -math.inf    # time of the latest
         self._servo_target = float(SERVO_CENTRE)
@@ -147,26 +139,14 @@ class ModelCar(Board):
     def receive(self, data: bytes, now: float) -> None:
         self._move(now)
         if self.calibrating:
-            room = RECEIVE_BUFFER - len(self._kept)
-            self._kept += data[:room]
-            if data[room:]:
-                self.note('rx-lost', data=data[room:].hex(), why='calibrating')
-            return
-        super().receive(data, now)
+            self._kept = (self._kept + data)[:RECEIVE_BUFFER]
+        else:
+            super().receive(data, now)
 
     def frame(self, frame: Frame, now: float) -> None:
-        if frame.cause:
-            self.note('rx', raw=frame.raw[:_QUOTED].hex(), cause=frame.cause, error=frame.error)
-            return
-        message = frame.message
-        if self._lose_stops and self.motor_on and not self._lost_stop \
-                and wire.is_speed_0(message):
-            self._lost_stop = True
-            self.note('rx-lost', data=wire.encode(message).hex(), why='lose-stops')
-            return
-        self.note('rx', type=frame.type, data=frame.data.hex())
+        message = frame.message      # None: it is invalid
         if isinstance(message, wire.Heartbeat):
-            if self._heartbeat is None or now >= self._heartbeat + HEARTBEAT_TIMEOUT:
+            if now >= self._heartbeat + HEARTBEAT_TIMEOUT:
                 self._custom.announce_often(now)
             self._heartbeat = now
         elif isinstance(message, wire.SpeedCommand):
@@ -179,10 +159,10 @@ class ModelCar(Board):
             self._calibrate(now)
         elif isinstance(message, SettingMessage):
             for answer in self._custom.use(message):
-                self.say(str(answer))
+                self.line.say(str(answer))
                 self._send(answer)
         elif isinstance(message, LayoutMessage):      # a custom message
-            self.say(str(message))
+            self.line.say(str(message))
 
     def advance(self, now: float) -> Optional[float]:
         self._move(now)
@@ -202,9 +182,6 @@ class ModelCar(Board):
             due = min(due, self._calibrated_at)
         return due
 
-    def fields(self, frame: bytes, message: Any) -> dict:
-        return {'type': message.TYPE, 'data': message.pack().hex()}
-
     # -- commands -------------------------------------------------------------------------
 
     def _set_speed(self, value: int, now: float) -> None:
@@ -212,35 +189,34 @@ class ModelCar(Board):
         if value == 0:
             self._motor_off('SPEED 0')
         elif now >= self._heartbeat + HEARTBEAT_TIMEOUT:
-            self.note('motor', on=False, speed=0, why=f'SPEED {value} without a heartbeat')
+            self.line.note('motor', on=False, speed=0, why=f'SPEED {value} without a heartbeat')
         else:
             if not self.motor_on or self.command * value < 0:
-                self.say(f'motor on: speed {value}')
+                self.line.say(f'motor on: speed {value}')
             self.motor_on = True
-            self._lost_stop = False
             self.command = value
-            self.note('motor', on=True, speed=value, why=f'SPEED {value}')
+            self.line.note('motor', on=True, speed=value, why=f'SPEED {value}')
 
     def _motor_off(self, why: str) -> None:
         if self.motor_on:
             self.motor_on = False
             self.command = 0
-            self.note('motor', on=False, speed=0, why=why)
-            self.say(f'motor stopped: {why}')
+            self.line.note('motor', on=False, speed=0, why=why)
+            self.line.say(f'motor stopped: {why}')
 
     def _set_led(self, text: str) -> None:
         if text not in _LEDS:
             self._log(_WARN, 'unknown LED command')
-            self.say(f'LED {text!r} is unknown')
+            self.line.say(f'LED {text!r} is unknown')
         elif text != self.led:
             self.led = text
-            self.say(f'LED: {text}')
+            self.line.say(f'LED: {text}')
 
     def _calibrate(self, now: float) -> None:
         self._motor_off('calibration')
         self._log(_INFO, 'IMU calibration: do not move the car')
-        self.say(f'IMU calibration: reading nothing for {self._calibration_time:g} s')
-        self.note('calibrate', on=True)
+        self.line.say(f'IMU calibration: reading nothing for {self._calibration_time:g} s')
+        self.line.note('calibrate', on=True)
         self.calibrating = True
         self._calibrated_at = now + self._calibration_time
 
@@ -248,8 +224,8 @@ class ModelCar(Board):
         kept, self._kept = self._kept, b''
         self.calibrating = False
         self.yaw = 0.0
-        self.note('calibrate', on=False, kept=kept.hex())
-        self.say(f'IMU calibrated; reading the {len(kept)} bytes received meanwhile')
+        self.line.note('calibrate', on=False)
+        self.line.say(f'IMU calibrated; reading the {len(kept)} bytes received meanwhile')
         self._log(_INFO, 'IMU calibrated, IMU ready')
         if kept:
             super().receive(kept, now)
@@ -331,7 +307,7 @@ class ModelCar(Board):
             self._send(message)
 
     def _send(self, message: Any) -> None:
-        self.send(wire.encode(message), message)
+        self.line.send(wire.encode(message))
 
 
 BOARD = ModelCar

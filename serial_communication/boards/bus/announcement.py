@@ -21,7 +21,8 @@ class AnnouncementReader:
         assembly: takes the chunks.
     """
 
-    def __init__(self, ask: Callable[[int, float], Call], assembly: Assembly, log: SparingLog) -> None:
+    def __init__(self, ask: Callable[[int, float], Call], assembly: Assembly,
+                 log: SparingLog) -> None:
         self._ask, self._assembly, self._log = ask, assembly, log
         self._call: Optional[Call] = None       # the question that is asked
         self._index = 0

@@ -24,7 +24,7 @@ import argparse
 import math
 from collections import deque
 from random import Random
-from typing import Any, Deque, Iterable, NamedTuple, Optional, Tuple
+from typing import Deque, Iterable, NamedTuple, Optional, Tuple
 
 from ...framing.announcement import chunks_of
 from ...framing.stream import CHECKSUM, Frame
@@ -40,7 +40,6 @@ TILT_RANGE = (-90, 90)
 LIFT_SPEED = 100.0       # mm/s
 GIMBAL_SPEED = 90.0      # degrees/s
 
-_QUOTED = 64             # most bytes of an invalid request in the journal
 _MOST_QUEUED = 16        # requests that can wait during a motion; more are lost
 
 
@@ -79,7 +78,6 @@ class _Motion(NamedTuple):
     """The motion that is being executed."""
 
     until: float
-    number: int       # the request's number
     request: wire.Request
 
 
@@ -88,8 +86,6 @@ class ControlBoard(Board):
 
     Args:
         lift_speed, gimbal_speed: mm/s and degrees/s.
-        max_length: most DATE bytes; a longer request is refused with 0x20, and one with over 1024
-            bytes is not a frame at all.
         reply_has_cmd2: whether replies carry their request's CMD2.
         echoes: whether it answers ECHO.
         ok_data: DATE of its OK to a move.
@@ -101,8 +97,8 @@ class ControlBoard(Board):
     decoder: wire.RequestDecoder
     NAME = DESCRIPTION.name
     SUMMARY = 'main control board: lift, gimbal, environment'
-    FAULTS = ('drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 repeat=0.01 '
-              'delay=0.01 late=0.005 rx-drop=0.005 rx-lose=0.005 rx-flip=0.01 rx-insert=0.005 '
+    FAULTS = ('drop=0.01 cut=0.01 lose=0.01 flip=0.01 insert=0.01 double=0.01 delay=0.01:0.1-1 '
+              'rx-drop=0.005 rx-lose=0.005 rx-flip=0.01 rx-insert=0.005 '
               'silence=0.5/min stall=0.5/min reset=0.5/min')
     CHATTER = b'\r\nboot 1.4\r\nRAM ok\r\nlift: ok gimbal: ok\r\n'
 
@@ -112,8 +108,6 @@ class ControlBoard(Board):
                             help='speed of the lift (%(default)g)')
         parser.add_argument('--gimbal-speed', type=positive, default=GIMBAL_SPEED,
                             metavar='DEG/S', help='speed of the gimbal (%(default)g)')
-        parser.add_argument('--max-length', type=_length, default=wire.MAX_LENGTH, metavar='N',
-                            help='most DATE bytes that it accepts (%(default)d)')
         parser.add_argument('--reply-has-cmd2', action='store_true',
                             help="replies carry their request's CMD2")
         parser.add_argument('--no-echo', action='store_true', help='never answer ECHO')
@@ -122,16 +116,14 @@ class ControlBoard(Board):
 
     @classmethod
     def from_options(cls, options: argparse.Namespace) -> 'ControlBoard':
-        return cls(options.lift_speed, options.gimbal_speed, options.max_length,
-                   options.reply_has_cmd2, options.seed, not options.no_echo, options.ok_data,
-                   options.config, options.announcement)
+        return cls(options.lift_speed, options.gimbal_speed, options.reply_has_cmd2, options.seed,
+                   not options.no_echo, options.ok_data, options.config, options.announcement)
 
     def __init__(self, lift_speed: float = LIFT_SPEED, gimbal_speed: float = GIMBAL_SPEED,
-                 max_length: int = wire.MAX_LENGTH, reply_has_cmd2: bool = False,
-                 seed: int = 0, echoes: bool = True, ok_data: bytes = b'',
-                 custom: Iterable[wire.Function] = (),
+                 reply_has_cmd2: bool = False, seed: int = 0, echoes: bool = True,
+                 ok_data: bytes = b'', custom: Iterable[wire.Function] = (),
                  announcement: Optional[bytes] = None) -> None:
-        super().__init__(wire.RequestDecoder(max(wire.MAX_LENGTH, max_length)))
+        super().__init__(wire.RequestDecoder())
         self._custom = {function.cmd2: function for function in custom}
         self._chunks = [] if announcement is None else chunks_of(announcement, CHUNK)
         self.lift = Axis(LIFT_START, LIFT_RANGE, lift_speed)
@@ -139,16 +131,13 @@ class ControlBoard(Board):
         self.tilt = Axis(0, TILT_RANGE, gimbal_speed)
         self.memory = b''
         self.synchronised = False
-        self.requests = 0       # valid and invalid ones
-        self.executed = 0
-        self._max_length = max_length
         self._reply_has_cmd2 = reply_has_cmd2
         self._echoes = echoes
         self._ok_data = ok_data
         self._random = Random(f'{seed} air')
         self._motion: Optional[_Motion] = None
-        self._queue: Deque[Tuple[int, Frame]] = deque()
-        self._invalid_due = 0   # number of the request that INVALID has to answer; 0: none
+        self._queue: Deque[wire.Request] = deque()
+        self._owes_invalid = False      # INVALID has to answer a request
         self._valid = False     # a valid request was received with, or just before, these bytes
 
     # -- hooks ----------------------------------------------------------------------------
@@ -159,8 +148,7 @@ class ControlBoard(Board):
         self.memory = b''
         self._motion = None
         self._queue.clear()
-        self._invalid_due = 0
-        self._valid = False
+        self._owes_invalid = self._valid = False
 
     def power_off(self, now: float) -> None:
         for axis in (self.lift, self.pan, self.tilt):
@@ -172,50 +160,36 @@ class ControlBoard(Board):
         super().receive(data, now)
 
     def frame(self, frame: Frame, now: float) -> None:
-        self.requests += 1
-        number = self.requests
-        if frame.cause:
-            self.note('request', k=number, raw=frame.raw[:_QUOTED].hex(), valid=False,
-                      cause=frame.cause, error=frame.error)
+        request = frame.message
+        if request is None:
             if frame.cause == CHECKSUM and not self._valid and not self._motion:
-                self._invalid_due = number
+                self._owes_invalid = True
             return
         self._valid = True
-        self._invalid_due = 0
-        self.note('request', k=number, raw=frame.raw.hex(), valid=True,
-                  text=f'{frame.message}', **self._genuine(frame))
-        if self._motion and self._interrupts(frame.message):
+        self._owes_invalid = False
+        if self._motion and self._interrupts(request):
             self._stop(self._motion, now)
         if self._motion is None:
-            self._serve(number, frame, now)
+            self._serve(request, now)
         elif len(self._queue) < _MOST_QUEUED:
-            self._queue.append((number, frame))
-        else:
-            self.note('rx-lost', data=frame.raw.hex(), why='too many requests while moving')
+            self._queue.append(request)
 
     def advance(self, now: float) -> Optional[float]:
         motion = self._motion
         if motion and now >= motion.until:
             self._motion = None
-            self.note('done', k=motion.number, lift=round(self.lift.at(now), 1),
-                      pan=round(self.pan.at(now), 1), tilt=round(self.tilt.at(now), 1))
-            self._reply(motion.number, wire.Reply(wire.OK, self._ok_data), motion.request)
+            self._reply(wire.Reply(wire.OK, self._ok_data), motion.request)
         while self._queue and self._motion is None:
-            number, frame = self._queue.popleft()
-            self._serve(number, frame, now)
+            self._serve(self._queue.popleft(), now)
         if self._motion:
             return self._motion.until
-        if self._invalid_due:
+        if self._owes_invalid:
             silent_until = self._last_byte + FRAME_TIMEOUT
             if now < silent_until:
                 return silent_until
-            self.say('received a request with a wrong checksum; answering INVALID')
-            self._reply(self._invalid_due, _invalid(wire.CHECKSUM_MISMATCH))
+            self.line.say('received a request with a wrong checksum; answering INVALID')
+            self._reply(_invalid(wire.CHECKSUM_MISMATCH))
         return None
-
-    def fields(self, frame: bytes, message: Any) -> dict:
-        number, reply = message
-        return {'k': number, 'raw': frame.hex(), 'text': f'{reply}'}
 
     # -- requests -------------------------------------------------------------------------
 
@@ -229,18 +203,15 @@ class ControlBoard(Board):
         for axis in (self.lift, self.pan, self.tilt):
             axis.halt(now)
         self._queue.clear()
-        self.say(f'stopped at {round(self.lift.at(now), 1):g} mm, '
-                 f'{round(self.pan.at(now), 1):g}°, {round(self.tilt.at(now), 1):g}°')
-        self._reply(motion.number, _error(wire.OPERATION_FAILED), motion.request)
+        self.line.say(f'stopped at {round(self.lift.at(now), 1):g} mm, '
+                      f'{round(self.pan.at(now), 1):g}°, {round(self.tilt.at(now), 1):g}°')
+        self._reply(_error(wire.OPERATION_FAILED), motion.request)
 
-    def _serve(self, number: int, frame: Frame, now: float) -> None:
-        request = frame.message
+    def _serve(self, request: wire.Request, now: float) -> None:
         reply: Optional[wire.Reply]
-        if len(request.data) > self._max_length:
-            reply = _invalid(wire.TOO_LONG)
-        elif request.cmd1 == wire.SYNC:
+        if request.cmd1 == wire.SYNC:
             if not self.synchronised:
-                self.say('synchronised')
+                self.line.say('synchronised')
             self.synchronised = True
             reply = wire.Reply(wire.SYNC)
         elif not self.synchronised:
@@ -248,20 +219,18 @@ class ControlBoard(Board):
         elif request.cmd1 == wire.ECHO:
             reply = wire.Reply(wire.ECHO, request.data) if self._echoes else None
         elif request.cmd1 == wire.FUNCTION:
-            reply = self._function(number, request, now)
+            reply = self._function(request, now)
         else:
             reply = _error(wire.UNSUPPORTED)
         if reply is not None and reply.cmd1 in (wire.ERROR, wire.INVALID):
-            self.say(f'{request}: {reply}')
+            self.line.say(f'{request}: {reply}')
         else:
-            self.executed += 1
-            self.note('executed', n=self.executed, k=number, raw=frame.raw.hex(),
-                      cmd1=request.cmd1, cmd2=request.cmd2, data=request.data.hex(),
-                      text=f'{request}', **self._genuine(frame))
+            self.line.note('executed', cmd1=request.cmd1, cmd2=request.cmd2,
+                           data=request.data.hex())
         if reply is not None:
-            self._reply(number, reply, request)
+            self._reply(reply, request)
 
-    def _function(self, number: int, request: wire.Request, now: float) -> Optional[wire.Reply]:
+    def _function(self, request: wire.Request, now: float) -> Optional[wire.Reply]:
         """The reply, or None if it is sent when the motion ends."""
         if request.cmd2 == wire.ENVIRONMENT:
             if request.data:
@@ -292,9 +261,9 @@ class ControlBoard(Board):
         if not axis.allows(distance, now):
             return _error(wire.OPERATION_FAILED)
         start = axis.at(now)
-        self._motion = _Motion(axis.move(distance, now), number, request)
-        self.say(f'{name}: {directions[direction]} {amount}{unit}: {round(start, 1):g} -> '
-                 f'{round(start + distance, 1):g}{unit}')
+        self._motion = _Motion(axis.move(distance, now), request)
+        self.line.say(f'{name}: {directions[direction]} {amount}{unit}: {round(start, 1):g} -> '
+                      f'{round(start + distance, 1):g}{unit}')
         return None
 
     def _custom_function(self, function: wire.Function, request: wire.Request,
@@ -304,7 +273,7 @@ class ControlBoard(Board):
         values = function.request.unpack(request.data)
         if function.request.implausible(values):
             return _error(wire.OPERATION_FAILED)
-        self.say(f'{function.name} {function.request.text(values)}'.rstrip())
+        self.line.say(f'{function.name} {function.request.text(values)}'.rstrip())
         return wire.Reply(wire.OK, function.reply.pack(simulated_values(function.reply, now)))
 
     def environment(self, now: float) -> wire.Environment:
@@ -317,16 +286,11 @@ class ControlBoard(Board):
 
     # -- inside ---------------------------------------------------------------------------
 
-    def _reply(self, number: int, reply: wire.Reply,
-               request: Optional[wire.Request] = None) -> None:
-        self._invalid_due = 0
+    def _reply(self, reply: wire.Reply, request: Optional[wire.Request] = None) -> None:
+        self._owes_invalid = False
         if request is not None:
             reply = reply._replace(cmd2=request.cmd2)
-        self.send(wire.encode_reply(reply, self._reply_has_cmd2),
-                  (number if request is not None else 0, reply))
-
-    def _genuine(self, frame: Frame) -> dict:
-        return {} if self.line.is_unaltered(frame.raw) else {'genuine': False}
+        self.line.send(wire.encode_reply(reply, self._reply_has_cmd2))
 
 
 def _invalid(code: int) -> wire.Reply:
@@ -335,13 +299,6 @@ def _invalid(code: int) -> wire.Reply:
 
 def _error(code: int) -> wire.Reply:
     return wire.Reply(wire.ERROR, code.to_bytes(2, 'little'))
-
-
-def _length(text: str) -> int:
-    value = int(text)
-    if not 0 < value <= wire.MAX_LENGTH:
-        raise argparse.ArgumentTypeError(f'{text} is not a number from 1 to {wire.MAX_LENGTH}')
-    return value
 
 
 BOARD = ControlBoard

@@ -47,7 +47,7 @@ class SensorBoard(Board):
     NAME = DESCRIPTION.name
     SUMMARY = 'sensor board: two ranges and orientation, or six ADC channels'
     FAULTS = ('drop=0.005 cut=0.005 lose=0.005 flip=0.01 insert=0.005 double=0.005 '
-              'delay=6/min late=0.5/min silence=0.5/min reset=0.5/min')
+              'delay=0.005 silence=0.5/min reset=0.5/min')
     READS = False      # but settings, which are sent again whatever is lost of them
     HAS_CLOCK = True
     CHATTER = (b'ets Jun  8 2016 00:22:57\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13 '
@@ -105,15 +105,12 @@ class SensorBoard(Board):
     def frame(self, frame: Frame, now: float) -> None:
         if isinstance(frame.message, SettingMessage):
             for answer in self._custom.use(frame.message):
-                self.say(str(answer))
+                self.line.say(str(answer))
                 self._send(answer)
 
     def _send(self, message: Any) -> None:
-        self.send(wire.encode(message, self.seq), message)
+        self.line.send(wire.encode(message, self.seq))
         self.seq = (self.seq + 1) % 256
-
-    def fields(self, frame: bytes, message: Any) -> dict:
-        return {'type': message.TYPE, 'seq': self.seq, 'raw': frame.hex()}
 
     # -- measurements -----------------------------------------------------------------------
 

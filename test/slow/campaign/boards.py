@@ -8,7 +8,7 @@ from typing import Any, Callable, Deque, Dict, Iterable, List, NamedTuple, Optio
 import by_definition as codec
 from .lines import Clock, SerialLine
 
-_SILENT = 1.0            # arduino/network_silence: then the bridge drops the output of a pty
+_SILENT = 1.5            # arduino/network_silence: then the bridge drops the output of a pty
 _DROPS = 0.5             # s in which it notices that the car talks again
 BEAT_MISSED = 0.03       # s without a heartbeat after which the board stops its motor
 # Custom messages of the car: a number, a sign of life, and an array with a missing value.
