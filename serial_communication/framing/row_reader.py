@@ -39,10 +39,6 @@ def _number(low: float, high: float) -> Callable[[Any], bool]:
     return lambda value: type(value) in (int, float) and low <= value <= high
 
 
-def _is_flag(value: Any) -> bool:
-    return type(value) is bool
-
-
 # What the value of a key may be: a test, in words, and the default; None: it is required.
 _CHECKS: Dict[str, Tuple[Callable[[Any], bool], str, Any]] = {
     'ros_type': (_text(f'{_NAME.pattern}/{_NAME.pattern}'),
@@ -53,7 +49,8 @@ _CHECKS: Dict[str, Tuple[Callable[[Any], bool], str, Any]] = {
     'period': (_number(0.001, 86400), 'a number from 0.001 to 86400 (s)', None),
     'timeout': (_number(0.01, 600), 'a number from 0.01 to 600 (s)', 0.0),
     **dict.fromkeys(('frame_id', 'child_frame_id', 'unit', 'description'), (_text(), 'text', '')),
-    **dict.fromkeys(('motion', 'repeatable', 'interrupts'), (_is_flag, 'true or false', False)),
+    **dict.fromkeys(('motion', 'repeatable', 'interrupts'),
+                    (lambda value: type(value) is bool, 'true or false', False)),
     'constants': (lambda given: type(given) is dict and all(
         path and _text(_PATH.pattern)(path) and (type(value) is not str or _text()(value))
         for path, value in given.items()),
@@ -71,11 +68,7 @@ class Group(NamedTuple):
     make: Callable[..., Any] = Row
 
     def read(self, entries: Any, key: str, origin: str = FILE) -> List[Any]:
-        """The rows of a parameter `key`, as ``arduino/messages``.
-
-        Raises:
-            RowError: a row cannot be used; the first of them is reported.
-        """
+        """The rows of a parameter `key`, as ``arduino/messages``; RowError for the first mistake."""
         if not isinstance(entries, dict):
             raise RowError(key, entries, 'may be a group of rows, each with a name')
         found: List[Row] = []
@@ -154,12 +147,8 @@ def _setting(_group: Group, keys: '_Keys') -> Dict[str, Any]:
 
 
 class _Keys:
-    """Reads and checks the keys of one row; every method raises RowError for a wrong value.
-
-    Args:
-        key: of the row, as ``arduino/messages/force``.
-        given: its keys with their values.
-    """
+    """Reads and checks the keys `given` of one row, whose own key is as ``arduino/messages/force``;
+    every method raises RowError for a wrong value."""
 
     def __init__(self, key: str, given: Any) -> None:
         self.key = key
@@ -178,7 +167,7 @@ class _Keys:
         return RowError(f'{self.key}/{key}', self.given.get(key), allowed)
 
     def get(self, key: str, may_be: Callable[[Any], bool], words: str, default: Any = None) -> Any:
-        """The value of a key; `words` says what it may be. None as the default: it is required."""
+        """The value of a key; without a default it is required."""
         if key not in self.given and default is not None:
             return default
         value = self.given.get(key)
@@ -223,10 +212,7 @@ class _Keys:
         return keys.layout(longest)
 
     def layout(self, longest: int, may_be_timed: bool = False) -> Layout:
-        """The layout by the keys `_LAYOUT_KEYS`, of at most `longest` bytes of data.
-
-        One value may be the board's time, `BOARD_TIME`, if `may_be_timed`.
-        """
+        """The layout, of at most `longest` bytes of data; `may_be_timed`: with `BOARD_TIME`."""
         layout, paths = self['layout'], self.given.get('fields')
         if type(paths) is not list or not all(
                 type(path) is str and (path == BOARD_TIME or _PATH.fullmatch(path))
