@@ -35,19 +35,16 @@ def read_exactly(port, size):
     return data
 
 
-@pytest.mark.parametrize('arguments, words', [
-    (['sane'], ['icrnl', 'icanon', 'echo', 'opost', 'isig']),
-    (['echo'], ['echo']), (['icanon'], ['icanon']), (['icrnl'], ['icrnl']), (['ixon'], ['ixon']),
-    (['istrip'], ['istrip']), (['cstopb'], ['cstopb']), (['crtscts'], ['crtscts']),
-    (['9600'], ['9600 baud']), (['min', '200'], ['special characters'])],
-    ids=' '.join)
-def test_settings_changed_by_another_program_are_named_and_restored(port, line, arguments, words):
+@pytest.mark.parametrize('arguments', [
+    ['sane'], ['echo'], ['icanon'], ['icrnl'], ['ixon'], ['istrip'], ['cstopb'], ['crtscts'],
+    ['9600'], ['min', '200']], ids=' '.join)
+def test_settings_changed_by_another_program_are_told_and_restored(port, line, arguments):
     before = stty(line.path, '-g')
     assert port.changed_settings() == ''
     stty(line.path, *arguments)
     if stty(line.path, '-g') == before:
         pytest.skip('a pseudo terminal has no such setting')
-    assert set(words) <= set(port.changed_settings().split(', '))
+    assert port.changed_settings()
     port.renew()
     assert stty(line.path, '-g') == before
     assert port.changed_settings() == '', 'reported twice'
@@ -61,7 +58,7 @@ def test_a_device_that_does_not_take_its_settings_is_left_alone_after_3_tries(
         port, line, monkeypatch):
     monkeypatch.setattr(tty_settings, 'write', lambda fd, settings: None)
     stty(line.path, 'icanon')
-    assert ['icanon' in port.changed_settings() for _ in range(5) if port.renew() == 0] == [
+    assert [bool(port.changed_settings()) for _ in range(5) if port.renew() == 0] == [
         True] * 2 + [False] * 3
 
 

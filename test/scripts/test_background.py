@@ -9,7 +9,7 @@ _JOB = 'stty tostop; set -m; trap "kill %1" TERM; "$@" & wait -f %1'
 
 
 @pytest.mark.parametrize('name, arguments, says', [
-    ('serial_communication_node', [], 'waiting for the ROS master'),
+    ('serial_communication_node', [], 'Unable to register with master'),
     ('simulator', ['mcu', '--port', '/dev/no-such-device'], 'no such device'),
     ('panel', ['--port', '0'], 'panel: http://'),
     ('wire', ['listen', 'mcu', '/dev/no-such-device'], 'no such device')])
