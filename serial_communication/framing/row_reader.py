@@ -68,7 +68,7 @@ class Group(NamedTuple):
     make: Callable[..., Any] = Row
 
     def read(self, entries: Any, key: str, origin: str = FILE) -> List[Any]:
-        """The rows of a parameter `key`, as ``arduino/messages``; RowError for the first mistake."""
+        """The rows of the parameter ``arduino/messages``; RowError for the first mistake."""
         if not isinstance(entries, dict):
             raise RowError(key, entries, 'may be a group of rows, each with a name')
         found: List[Row] = []

@@ -365,7 +365,8 @@ class Mistakes(unittest.TestCase):
     def test_constants_that_the_type_cannot_hold_are_refused(self):
         battery = dict(FORCE, ros_type='sensor_msgs/BatteryState', fields=['voltage'])
         for constants, key in (
-                ({'presnt': True}, ''), ({'charge': 'full'}, '/charge'), ({'charge': 1e39}, '/charge'),
+                ({'presnt': True}, ''), ({'charge': 'full'}, '/charge'),
+                ({'charge': 1e39}, '/charge'),
                 ({'power_supply_status': 256}, '/power_supply_status'),
                 ({'power_supply_status': 0.5}, '/power_supply_status'),
                 ({'location': 5}, '/location'),
