@@ -1,5 +1,4 @@
 """Standard output and standard error of a program."""
-import errno
 import io
 import os
 import signal
@@ -27,19 +26,11 @@ def no_more_output(descriptor: int = 1) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
-def end_with_output(name: str, run: Callable[[], int]) -> int:
-    """Run a program that is useless without its output, and return its exit status.
-
-    If the reader of a pipe has ended, it ends without a word; on a full disk, with one line.
-    """
+def end_with_output(run: Callable[[], int]) -> int:
+    """Run a program, and return its exit status. If the reader of its output has ended, it ends
+    without a word."""
     try:
         return run()
     except BrokenPipeError:
         no_more_output()
         return _SIGPIPE_STATUS
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        no_more_output()
-        print(f'{name}: its output cannot be written: {error.strerror}', file=sys.stderr)
-        return 1

@@ -23,21 +23,13 @@ def description(name: str) -> Description:
         name: one of `BOARDS`, or the import name of a package with a board.
 
     Raises:
-        BoardError: there is no such module, or it has no `DESCRIPTION`.
+        BoardError: it cannot be found, or has no `DESCRIPTION`.
         Exception: whatever importing it raises.
     """
-    module = f'{__name__}.{name}' if name in BOARDS else name
-    if not module.strip('.') or module[0] == '.':
-        raise BoardError(f'{name!r} is not the name of a board or a Python package')
     try:
-        found = getattr(importlib.import_module(module), 'DESCRIPTION', None)
-    except ModuleNotFoundError as error:
-        if not f'{module}.'.startswith(f'{error.name}.'):
-            raise
-        raise BoardError(f'there is no Python package {name!r}') from None
-    if not isinstance(found, Description):
-        raise BoardError(f'the module {name!r} has no DESCRIPTION of a board')
-    return found
+        return importlib.import_module(f'{__name__}.{name}' if name in BOARDS else name).DESCRIPTION
+    except (ImportError, AttributeError, ValueError, TypeError) as error:
+        raise BoardError(str(error)) from error
 
 
 def descriptions(packages: Iterable[str] = ()) -> List[Description]:

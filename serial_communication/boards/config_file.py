@@ -9,10 +9,7 @@ def read_parameters(path: str) -> Dict[str, Any]:
         OSError: the file cannot be read.
         ValueError: it is not YAML, or has no parameters; the text is one line.
     """
-    try:
-        import yaml     # not at the top: without a configuration only pyserial is needed
-    except ImportError:
-        raise ValueError('reading it needs PyYAML (python3-yaml)') from None
+    import yaml     # not at the top: without a configuration only pyserial is needed
     try:
         with open(path, encoding='utf-8') as file:
             given = yaml.safe_load(file) or {}

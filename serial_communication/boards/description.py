@@ -5,7 +5,7 @@ The modules with the link, ROS and the simulator are imported when they are used
 """
 import importlib
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
 
 from ..framing.row_reader import Group
@@ -51,13 +51,6 @@ class Service(NamedTuple):
     confirm: str = ''                 # what to tell before it is called; '': nothing
 
 
-class Heartbeat(NamedTuple):
-    """A message that has to be sent at a steady rate."""
-
-    type: int
-    longest_gap: float       # s without one after which the board stops its motor
-
-
 @dataclass(frozen=True)
 class Description:
     """One board."""
@@ -73,9 +66,7 @@ class Description:
     topics: Tuple[Topic, ...] = ()           # with code of their own
     services: Tuple[Service, ...] = ()       # that the page offers
     other_names: Tuple[str, ...] = ()        # of other topics and services
-    # Parameters, false by default, that change how bytes are decoded, with their meaning.
-    wire_flags: Mapping[str, str] = field(default_factory=dict)
-    heartbeat: Optional[Heartbeat] = None
+    longest_gap: Optional[float] = None      # s without heartbeat; then the board stops its motor
     baud: int = 115200               # of the port, if its parameters have none: see `baud_of`
     # Bytes that end a frame, are never inside one, and may also separate two frames.
     between: bytes = b''

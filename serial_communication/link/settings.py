@@ -1,19 +1,26 @@
 """The settings of one board: which values are wanted, and which the board has confirmed."""
 import threading
-from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple, Type
+from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
 
 from ..framing.rows import Setting
 from ..framing.settings import SettingMessage, message_of
-from ..transport import pace
 from ..transport.pace import Allowance
-from .outcome import Refused
 from .sparing_log import SparingLog
 
 _RATE = 5, 15.0            # frames at once, and then a second: never over 20 in one second
 _PAUSES = 0.2, 1.0         # s between two tries: at first, and later
 _TRIES = 5                 # with the first of these pauses
 _WARNING = 9               # tries until one warning: the board may be starting at the first ones
-_ANSWERS = 3               # as many tries answered by one other value: the board limits it
+_ANSWERED = 3              # tries: a board that reports another value then limits it
+
+
+class Shown(NamedTuple):
+    """What displays show of a setting."""
+
+    row: Setting
+    value: Any           # that the board uses; None: not known
+    wanted: Any          # None: the board's own value stands
+    is_settled: bool     # whether the board has confirmed the wanted value, or limited it
 
 
 class _State:
@@ -23,21 +30,18 @@ class _State:
         self.row = row
         self.value: Any = None      # that the board uses; None: not known
         self.wanted: Any = None     # None: the board's own value stands
-        self.tried_at = 0.0
         self.again()
 
     def again(self) -> None:
         """The board has to confirm the wanted value anew."""
-        self.confirmed = False
+        self.confirmed = self.limited = False
         self.tries = 0
         self.due = 0.0
-        self.answers = 0            # tries that were answered by `value`
-        self.answered = 0           # the number of the latest of them
 
     @property
     def is_settled(self) -> bool:
         """Whether nothing else is to be expected from the board soon."""
-        return self.wanted is None or self.confirmed or self.answers >= _ANSWERS
+        return self.wanted is None or self.confirmed or self.limited
 
 
 class BoardSettings:
@@ -51,26 +55,17 @@ class BoardSettings:
     """
 
     def __init__(self, log: SparingLog, use: Callable[[Type[SettingMessage]], None],
-                 wake: Callable[[], None],
-                 clock: Callable[[], float] = pace.clock) -> None:
+                 wake: Callable[[], None]) -> None:
         # Called by any thread when rows or values have changed; must not wait.
         self.on_change: Callable[[], None] = lambda: None
         self.wanted: Dict[str, Any] = {}     # by name, also of rows that are not there now
         self._kind = message_of(())
         self._states: Dict[str, _State] = {}
-        self._by_number: Dict[int, _State] = {}
         self._allowance = Allowance(*_RATE)
-        self._clock = clock         # read before each message: the thread may stall between two
         self._log, self._use, self._wake = log, use, wake
         self._changed = threading.Condition()
 
     # -- rows and wanted values -----------------------------------------------------------
-
-    @property
-    def rows(self) -> List[Setting]:
-        """All rows, by name."""
-        with self._changed:
-            return [self._states[name].row for name in sorted(self._states)]
 
     def add(self, row: Setting) -> Callable[[], None]:
         """Add a row; return what removes it."""
@@ -89,9 +84,7 @@ class BoardSettings:
         return remove
 
     def _rows_changed(self) -> None:
-        states = self._states.values()
-        self._by_number = {state.row.number: state for state in states}
-        self._kind = message_of(state.row for state in states)
+        self._kind = message_of(state.row for state in self._states.values())
         self._use(self._kind)
 
     def want(self, name: str, value: Any) -> None:
@@ -117,13 +110,6 @@ class BoardSettings:
         self._wake()
         self.on_change()
 
-    def want_instead(self, name: str, wanted: Any, value: Any) -> None:
-        """Want `value`, if this is wanted still: somebody else may have set it meanwhile."""
-        with self._changed:      # reentrant
-            state = self._states.get(name)
-            if state is not None and state.wanted == wanted:
-                self.want(name, value)
-
     def wait(self, names: Iterable[str], seconds: float) -> None:
         """Wait until the board has confirmed or limited these settings, at most so long."""
         with self._changed:
@@ -132,19 +118,13 @@ class BoardSettings:
 
     # -- for the link's thread ------------------------------------------------------------
 
-    def closed(self) -> None:
-        """The port was closed: nothing is confirmed any more."""
-        with self._changed:
-            for state in self._states.values():
-                state.again()
-        self.on_change()
-
     def reset(self) -> None:
-        """The port was opened: the board may be another one, or have other values."""
+        """The board may be another one, or have other values: nothing is known or confirmed."""
         with self._changed:
             for state in self._states.values():
                 state.value = None
-        self.closed()
+                state.again()
+        self.on_change()
 
     def received(self, message: SettingMessage, is_current: bool) -> None:
         """The board uses this value.
@@ -153,19 +133,20 @@ class BoardSettings:
             is_current: whether the announced rows are known to be those of the board.
         """
         with self._changed:
-            state = self._by_number.get(message.number)
+            state = next((each for each in self._states.values()
+                          if each.row.number == message.number), None)
             if state is None or state.row.announced and not is_current \
                     or type(message) is not self._kind:     # decoded before the rows changed
                 return
             value, before, was_settled = message.value, state.value, state.is_settled
             state.value = value
             if state.wanted is not None:
-                self._compare(state, value, value == before)
+                self._compare(state, value)
             self._changed.notify_all()
         if value != before or not (was_settled and state.is_settled):
             self.on_change()
 
-    def _compare(self, state: _State, value: Any, is_same: bool) -> None:
+    def _compare(self, state: _State, value: Any) -> None:
         """The board reports a value of a setting with a wanted one."""
         if value == state.wanted:
             # Without a try, the report may have been under way while an older value was sent.
@@ -175,66 +156,55 @@ class BoardSettings:
             for each in self._states.values():
                 each.again()
             self._wake()
-        elif state.tries > state.answered:
-            state.answers = state.answers + 1 if is_same else 1
-            state.answered = state.tries
+        else:
+            state.limited = state.tries >= _ANSWERED
 
-    def send(self, now: float, write: Callable[[SettingMessage], None],
-             is_current: bool) -> Optional[float]:
-        """Send what is due; return when to call again, or None.
+    def send(self, now: float, is_current: bool) -> Tuple[List[SettingMessage], Optional[float]]:
+        """What is to be sent now, and when to call again, or None.
 
         Args:
-            write: sends a message; raises Refused if it cannot be sent now.
             is_current: as for `received`.
         """
-        if not self._states:
-            return None
         with self._changed:
             waiting = [state for state in self._states.values()
                        if state.wanted is not None and not state.confirmed
                        and (is_current or not state.row.announced)]
-            for state in sorted(waiting, key=lambda state: state.tried_at):
-                if now >= state.due and self._allowance.take(self._clock()):
-                    self._try(state, now, write)
+            messages = []
+            for state in sorted(waiting, key=lambda state: state.due):
+                if now >= state.due and self._allowance.take(now):
+                    messages.append(self._try(state, now))
             # What the allowance kept is due when there is one more.
-            return min((state.due if state.due > now else now + 1 / _RATE[1] for state in waiting),
-                       default=None)
+            return messages, min((state.due if state.due > now else now + 1 / _RATE[1]
+                                  for state in waiting), default=None)
 
-    def _try(self, state: _State, now: float, write: Callable[[SettingMessage], None]) -> None:
-        state.due = now + _PAUSES[0]
-        try:
-            write(self._kind(state.row.number, state.wanted))
-        except Refused:
-            return
+    def _try(self, state: _State, now: float) -> SettingMessage:
         state.tries += 1
-        state.tried_at = now
-        if state.tries >= _TRIES:
-            state.due = now + _PAUSES[1]
+        state.due = now + (_PAUSES[0] if state.tries < _TRIES else _PAUSES[1])
         if state.tries == _WARNING:
             uses = 'is silent about it' if state.value is None else f'uses {state.value}'
             self._log.warn(f'setting {state.row.name}', f'the board has not confirmed '
                            f'{state.row.name} = {state.wanted}, it {uses}; it is sent again each '
                            'second')
+        return self._kind(state.row.number, state.wanted)
 
     # -- for displays -----------------------------------------------------------------------
 
-    def shown(self) -> Dict[str, Tuple[Any, Any, bool]]:
-        """Of each setting by name: the board's value, the wanted one, and whether that is
-        confirmed or was refused by the board. None: not known, or not wanted."""
+    def shown(self) -> Dict[str, Shown]:
+        """All settings, in the order of their names."""
         with self._changed:
-            return {name: (state.value, state.wanted, state.is_settled)
+            return {name: Shown(state.row, state.value, state.wanted, state.is_settled)
                     for name, state in sorted(self._states.items())}
 
     def values(self) -> List[Tuple[str, Any]]:
         """For /diagnostics; empty without rows."""
         with self._changed:
             states = [self._states[name] for name in sorted(self._states)]
-            unconfirmed = [state for state in states
-                           if state.wanted is not None and not state.confirmed]
-        return [] if not states else [
-            ('settings', ', '.join(f'{state.row.name}={_text(state.value)}' for state in states)),
-            ('settings unconfirmed', ', '.join(
-                f'{state.row.name}={_text(state.wanted)}' for state in unconfirmed))]
+            return [] if not states else [
+                ('settings', ', '.join(
+                    f'{each.row.name}={_text(each.value)}' for each in states)),
+                ('settings unconfirmed', ', '.join(
+                    f'{each.row.name}={_text(each.wanted)}' for each in states
+                    if each.wanted is not None and not each.confirmed))]
 
 
 def _text(value: Any) -> str:

@@ -6,14 +6,13 @@ master may take any time.
 """
 import threading
 from functools import partial
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence
+from typing import Any, Callable, Dict, Iterable, List, Sequence, Tuple
 
 import rospy
 
 from ..boards.description import ANNOUNCED, Description
 from ..framing.announcement import read_announcement
 from ..framing.rows import FILE, Kind, RowError, Setting, refuse_second_number
-from ..link.link import Refused
 from ..link.outcome import NOT_SENT, Outcome
 from .answers import fill_response
 from .commands import CommandTopic
@@ -21,9 +20,8 @@ from .geometry import FrameBroadcaster
 from .latest_worker import LatestWorker
 from .publishing import publisher, wanted
 from .rows import ODOMETRY, RosRow, resolve, rows_in
-from .settings import SettingsServer, set_parameter
+from .settings import SettingsServer, for_xml_rpc
 
-_LABEL = 100     # characters of a command's values in a warning
 _WAITING = 10    # commands that may wait
 
 
@@ -78,13 +76,6 @@ class ValuePublisher:
             self._broadcaster.close()
 
 
-class _Made(NamedTuple):
-    """A row that is in use."""
-
-    ros_row: RosRow
-    take_down: Callable[[], None]
-
-
 class Binder:
     """The rows of one board, built in, of the parameters, and announced.
 
@@ -100,19 +91,15 @@ class Binder:
         self._p = p
         # Of the parameters and built in. They take precedence over announced ones.
         self._fixed = [*(resolve(board, row) for row in board.rows), *rows_in(p)]
-        self._made: Dict[str, _Made] = {}                # by name
+        self._made: Dict[str, Tuple[RosRow, Callable[[], None]]] = {}    # and what takes it down
         self._topics: Dict[Any, ValuePublisher] = {}     # by class of the message
         self._names: Dict[str, str] = {}                 # see `serve`
-        self._said: Any = None       # the latest announcement, and what was said about it
-        self._update: Callable[[], None] = lambda: None
 
-    def serve(self, worker: LatestWorker, names: Dict[str, str], binders: Iterable['Binder'],
-              values: Dict[str, Any]) -> None:
+    def serve(self, worker: LatestWorker, names: Dict[str, str], values: Dict[str, Any]) -> None:
         """Make the rows of the start; those that the board announces follow in the worker's thread.
 
         Args:
             names: the resolved names of topics and services, and whose each is; for all links.
-            binders: all of them. A name that becomes free may be that of another board's row.
             values: of settings, that are wanted at the start.
 
         Raises:
@@ -123,19 +110,8 @@ class Binder:
             SettingsServer(self.link, [each.row for each in self._fixed
                                        if isinstance(each.row, Setting)], values, worker)
         self.sync(self._fixed)
-        if not self._p['announcements']:
-            return
-
-        def update() -> None:
-            before = set(names)
-            rows = self.use(self.link.session.announcement.assembly.text or b'')
-            set_parameter(f'~{self.link.name}/{ANNOUNCED}', rows, self.link.log, worker, update)
-            if before - set(names):
-                for binder in binders:
-                    worker.submit(binder._update)
-
-        self._update = update
-        self.link.session.announcement.on_text = lambda text: worker.submit(update)
+        if self._p['announcements']:
+            self.link.session.announcement.on_text = partial(worker.submit, self._announced)
 
     def publish(self, message: Any, stamp: rospy.Time) -> None:
         """Publish a message of the board; do nothing if its row was just taken down."""
@@ -146,43 +122,31 @@ class Binder:
     def sync(self, rows: Iterable[RosRow]) -> None:
         """Have exactly these rows in ROS. Nobody notices it of one that is there already."""
         rows_by_name = {each.name: each for each in rows}
-        for name, made in list(self._made.items()):
-            if name not in rows_by_name or rows_by_name[name].row != made.ros_row.row:
+        for name, (made, take_down) in list(self._made.items()):
+            if name not in rows_by_name or rows_by_name[name].row != made.row:
                 del self._made[name], self._names[rospy.resolve_name(name)]
-                made.take_down()
+                take_down()
         for name, each in rows_by_name.items():
             if name not in self._made:
-                self._made[name] = _Made(each, self._make(each))
+                self._made[name] = each, self._make(each)
                 self._names[rospy.resolve_name(name)] = each.row.key or name
 
     # -- announcements -------------------------------------------------------------------------
 
-    def use(self, text: bytes) -> Dict[str, Any]:
-        """Use the rows that the board announces; return those that may be, as they are given."""
-        announcement, announced = read_announcement(text), self.link.session.announcement
+    def _announced(self, text: bytes) -> None:
+        """Use the rows that the board announces, as far as they may be."""
+        announcement = read_announcement(text)
         said = list(announcement.problems)
         accepted = self._accepted(announcement.rows, said)
-        kept = [each for each in accepted if each.name in self._made
-                and self._made[each.name].ros_row.row == each.row]
-        self.sync(self._fixed + kept)
-        announced.use(text, announcement.firmware, [each.row.name for each in kept])
-        for each in [each for each in accepted if each not in kept]:
-            try:
-                self.sync(self._fixed + kept + [each])
-                kept.append(each)
-            except Exception as error:  # pylint: disable=broad-except
-                # rospy passes on what its master, or another server at its address, answers.
-                said.append(f'the announced row {each.row.name} is left out: {error}')
-        names = [each.row.name for each in accepted if each in kept]
-        announced.use(text, announcement.firmware, names)
+        self.sync(self._fixed + accepted)
+        names = [each.row.name for each in accepted]
+        self.link.session.announcement.use(text, announcement.firmware, names)
+        for line in said:
+            self.link.log.always_warn(line)
         firmware = f' (firmware {announcement.firmware})' if announcement.firmware else ''
-        said.append(f'announces {", ".join(names) or "nothing"}{firmware}')
-        if (text, said) != self._said and not rospy.is_shutdown():
-            for line in said[:-1]:
-                self.link.log.always_warn(line)
-            self.link.log.always_info(said[-1])
-        self._said = text, said
-        return {name: announcement.rows[name] for name in names}
+        self.link.log.always_info(f'announces {", ".join(names) or "nothing"}{firmware}')
+        rospy.set_param(f'~{self.link.name}/{ANNOUNCED}', for_xml_rpc(
+            {name: announcement.rows[name] for name in names}))
 
     def _accepted(self, given: Dict[str, Any], said: List[str]) -> List[RosRow]:
         """The rows that may be used; why the others may not is added to `said`."""
@@ -200,9 +164,8 @@ class Binder:
                         raise RowError(row.key, name, f'has the name of {user}')
                     accepted.append(resolve(self._board, row))
                 elif other != row:
-                    same = 'name' if other.name == name else row.number_key
                     said.append(f'the announced row {name} is left out: the parameter {other.key} '
-                                f'has the same {same}, differs, and takes precedence')
+                                'differs, and takes precedence')
             except RowError as error:
                 said.append(f'an announced row is left out: {error}')
         return accepted
@@ -232,21 +195,16 @@ class Binder:
         row, link = ros_row.row, self.link
         zero = row.zero if row.motion else None
 
-        def values_of(message: Any) -> Sequence:
+        def read(message: Any) -> Any:
             values = ros_row.fields.read(message)
-            if not row.motion:
-                return values
-            values, why = row.saturated(values)
-            if why:
-                link.log.warn(f'{row.name} saturated', why)
-            return values
+            if row.motion:
+                values, why = row.saturated(values)
+                if why:
+                    link.log.warn(f'{row.name} saturated', why)
+            return row.message(*values)
 
-        topic = CommandTopic(
-            ros_row.name, ros_row.ros_class, lambda message, stamp: link.writer.submit(
-                row.message(*values_of(message)), stamp),
-            lambda message: str(ros_row.read(message))[:_LABEL], link.log,
-            self._p['command_age'], queue_size=1 if row.newest else _WAITING,
-            stops=lambda message: zero is not None and tuple(values_of(message)) == tuple(zero))
+        topic = CommandTopic(ros_row.name, ros_row.ros_class, read, link.writer.submit, zero,
+                             link.log, self._p['command_age'], 1 if row.newest else _WAITING)
         if zero is None:
             return topic.close
         link.session.add_motion(zero)
@@ -278,10 +236,8 @@ class Binder:
 
         def handle(ros_request: Any) -> Any:
             try:
-                if row.announced:
-                    link.session.announcement.refuse_unless_current(row.name)
                 values = fields.read(ros_request)
-            except (ValueError, Refused) as error:
+            except ValueError as error:
                 outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
             else:
                 outcome = link.call(row, values)
@@ -305,14 +261,3 @@ def _values(ros_row: RosRow, outcome: Outcome) -> Sequence:
     """The values of an OK. Data that is not expected is left out."""
     reply = ros_row.row.reply
     return () if reply.is_empty else reply.unpack(outcome.data)
-
-
-def forget_announced(given: Dict[str, Any], boards: Iterable[str]) -> None:
-    """Delete the rows that these boards announced before the node started.
-
-    Args:
-        given: the node's parameters.
-    """
-    for board in boards:
-        if given.get(board, {}).pop(ANNOUNCED, None) is not None:
-            rospy.delete_param(f'~{board}/{ANNOUNCED}')

@@ -13,30 +13,8 @@ import rospy
 from ..link.link import Refused
 from ..link.sparing_log import SparingLog
 
+_LABEL = 100                # characters of a command in a warning
 _MOST_PUBLISHERS = 1000     # names to remember; each call of rostopic has a new one
-
-
-class NewestConnections:
-    """Finds the messages of connections whose publisher has made a newer one."""
-
-    def __init__(self, subscriber: rospy.Subscriber) -> None:
-        self._subscriber = subscriber
-        self._replaced: Dict[int, Any] = {}     # headers of those that have newer ones, by their id
-
-    def is_replaced(self, header: Dict[str, str]) -> bool:
-        """Return whether the publisher has made a newer connection, even if that has closed."""
-        try:
-            # rospy keeps them in the order in which it made them. One without a header is not
-            # ready.
-            alive = [each.header for each in self._subscriber.impl.connections if each.header]
-        except AttributeError:      # another rospy
-            return False
-        sender = header.get('callerid', '')
-        older = [each for each in alive if each.get('callerid', '') == sender][:-1]
-        ids = {id(each) for each in alive}
-        self._replaced = {id(each): each for each in (*self._replaced.values(), *older)
-                          if id(each) in ids}
-        return id(header) in self._replaced or id(header) not in ids
 
 
 class CommandTopic:
@@ -51,64 +29,70 @@ class CommandTopic:
     Args:
         name: topic, such as ``~speed``.
         message_class: class of its messages.
-        send: sends one message to the board; raises Refused or ValueError if it cannot.
-        label: returns a message's name for a warning, such as ``speed 300``.
+        read: returns the command in a message; ValueError if it is none.
+        send: sends a command to the board; raises Refused if it cannot.
+        zero: the command with which nothing moves: sent whatever its stamp is, and whether it was
+            latched or not. None: there is none.
         log: log of the link.
         age_limit: s; 0 ignores the stamps.
         queue_size: how many of the newest messages may wait.
-        stops: whether a message stops the car. Such a message is sent whatever its stamp is, and
-            whether it was latched or not.
     """
 
-    def __init__(self, name: str, message_class: Any, send: Callable[[Any, Any], None],
-                 label: Callable[[Any], str], log: SparingLog, age_limit: float,
-                 queue_size: int = 10,
-                 stops: Callable[[Any], bool] = lambda message: False) -> None:
+    def __init__(self, name: str, message_class: Any, read: Callable[[Any], Any],
+                 send: Callable[[Any, Any], None], zero: Any, log: SparingLog, age_limit: float,
+                 queue_size: int) -> None:
         self._name = name.lstrip('~')
         self._topic = rospy.resolve_name(name)
-        self._send = send
-        self._label = label
+        self._read, self._send, self._zero = read, send, zero
         self._log = log
         self._age_limit = age_limit if message_class._has_header else 0.0
-        self._stops = stops
         self._latest: Dict[str, Any] = {}   # connection by publisher; the last to send comes last
         self._older_publishers = _publishers(self._topic)
-        # None: not subscribed yet, or closed
-        self._connections: Optional[NewestConnections] = None
+        self._replaced: Dict[int, Any] = {}     # headers of older connections, by their id
         self._lock = threading.RLock()      # each connection has a thread; they wait for that
+        self._subscriber: Any = None        # None: not subscribed yet, or closed
         with self._lock:
             self._subscriber = rospy.Subscriber(name, message_class, self._received,
                                                 queue_size=queue_size, tcp_nodelay=True)
-            self._connections = NewestConnections(self._subscriber)
 
     def close(self) -> None:
         """Unsubscribe; messages that are received later are ignored."""
         with self._lock:
-            self._connections = None
-        self._subscriber.unregister()
+            subscriber, self._subscriber = self._subscriber, None
+        subscriber.unregister()
 
     def _received(self, message: Any) -> None:
         try:
-            with self._lock:
-                if self._connections is None:
-                    return      # while subscribing: the connection's thread handles it later
-                self._refuse_if_old(message, self._connections)
-                self._send(message, self._stamp_of(message))     # before `close` returns
-        except Refused as refused:
-            self._log.warn(f'{self._name} refused: {refused.cause}',
-                           f'{self._label(message)} refused: {refused}')
+            command = self._read(message)
         except ValueError as error:
             self._log.warn(f'{self._name} refused', f'{self._name} refused: {error}')
+            return
+        stamp = getattr(getattr(message, 'header', None), 'stamp', None) or None
+        try:
+            with self._lock:
+                if self._subscriber is None:
+                    return      # while subscribing: the connection's thread handles it later
+                self._refuse_if_old(message, command)
+                self._send(command, stamp)     # before `close` returns
+        except Refused as refused:
+            self._log.warn(f'{self._name} refused: {refused.cause}',
+                           f'{str(command)[:_LABEL]} refused: {refused}')
 
-    @staticmethod
-    def _stamp_of(message: Any) -> Any:
-        """When a message was made; None: it does not say that."""
-        return getattr(getattr(message, 'header', None), 'stamp', None) or None
+    def _is_replaced(self, header: Dict[str, str]) -> bool:
+        """Whether the publisher has made a newer connection, even if that has closed."""
+        # rospy keeps them in the order in which it made them. One without a header is not ready.
+        alive = [each.header for each in self._subscriber.impl.connections if each.header]
+        sender = header.get('callerid', '')
+        older = [each for each in alive if each.get('callerid', '') == sender][:-1]
+        ids = {id(each) for each in alive}
+        self._replaced = {id(each): each for each in (*self._replaced.values(), *older)
+                          if id(each) in ids}
+        return id(header) in self._replaced or id(header) not in ids
 
-    def _refuse_if_old(self, message: Any, connections: NewestConnections) -> None:
+    def _refuse_if_old(self, message: Any, command: Any) -> None:
         connection = message._connection_header     # one object for each connection
         sender = connection.get('callerid', '')
-        if connections.is_replaced(connection):
+        if self._is_replaced(connection):
             raise Refused(f'it was received on an old connection of {sender}; only the newest '
                           f'connection to {self._topic} is used', 'old connection')
         known = sender in self._latest
@@ -116,7 +100,7 @@ class CommandTopic:
         self._latest[sender] = connection
         if len(self._latest) > _MOST_PUBLISHERS:
             del self._latest[next(iter(self._latest))]
-        if self._stops(message):
+        if command == self._zero:
             return
         if is_first and connection.get('latching') == '1' \
                 and (known or self._older_publishers is None

@@ -1,5 +1,4 @@
 """An IMU's messages, and its orientation on /tf."""
-import struct
 from typing import Any, Dict, List, Optional, Sequence
 
 import rospy
@@ -8,27 +7,7 @@ from sensor_msgs.msg import Imu
 from .geometry import FrameBroadcaster
 from .publishing import publisher, wanted
 
-_HEAD = struct.Struct('<4I')        # seq, stamp, length of frame_id
-_NUMBERS = struct.Struct('<37d')
 _NOT_MEASURED = [-1.0] + [0.0] * 8      # a covariance, as sensor_msgs/Imu defines it
-
-
-class PackedImu(Imu):
-    """An Imu that is serialized to the same bytes, but in one step instead of eight."""
-
-    def serialize(self, buff: Any) -> None:
-        header, at, rate, acceleration = (self.header, self.orientation, self.angular_velocity,
-                                          self.linear_acceleration)
-        try:
-            frame_id = header.frame_id.encode()
-            buff.write(_HEAD.pack(header.seq, header.stamp.secs, header.stamp.nsecs, len(frame_id))
-                       + frame_id + _NUMBERS.pack(
-                           at.x, at.y, at.z, at.w, *self.orientation_covariance,
-                           rate.x, rate.y, rate.z, *self.angular_velocity_covariance,
-                           acceleration.x, acceleration.y, acceleration.z,
-                           *self.linear_acceleration_covariance))
-        except (struct.error, TypeError, AttributeError):
-            super().serialize(buff)     # raises what rospy expects
 
 
 class ImuTopic:
@@ -44,7 +23,7 @@ class ImuTopic:
     def __init__(self, name: str, p: Dict[str, Any], rate: Optional[float] = None,
                  acceleration: Optional[float] = None) -> None:
         level = p['roll_pitch_stdev']
-        self._message = PackedImu()
+        self._message = Imu()
         self._message.header.frame_id = p['imu_frame_id']
         self._message.orientation_covariance = _covariance(level, level, p['yaw_stdev'])
         self._message.angular_velocity_covariance = \

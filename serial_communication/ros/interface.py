@@ -1,7 +1,6 @@
 """The interface between the node and a board."""
 import logging
 import operator
-from abc import ABC, abstractmethod
 from typing import Any, Callable, Dict, NamedTuple, Optional, Tuple
 
 from ..link.link import Link
@@ -30,7 +29,7 @@ class LinkOptions(NamedTuple):
         return Link(port, session, self.frame_timeout, self.clock, self.earlier, board_time)
 
 
-class Interface(ABC):
+class Interface:
     """One board on the ROS side: its parameters and frames, its link, its topics and services.
 
     The module `ros` of a board has a subclass as `INTERFACE`. The node checks the board's
@@ -49,17 +48,8 @@ class Interface(ABC):
     link: Link
     binder: Optional[Binder] = None    # None: the board has no rows
 
-    @abstractmethod
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
-        """Create the link and the topics from the board."""
-
-    @staticmethod
-    def problem(parameters: Dict[str, Any]) -> str:
-        """Return what is wrong with several parameters together; '' if nothing is.
-
-        The text begins with the name of one of them.
-        """
-        return ''
+        """Create the link and the topics from the board; ParameterError ends the node."""
 
     def advertise(self) -> None:
         """Offer what needs code of its own; the rows are there."""

@@ -6,13 +6,11 @@ raises. Here a log call only queues its line.
 import logging
 import queue
 import sys
-import threading
 from contextlib import suppress
 from logging.handlers import QueueHandler, QueueListener
 from typing import List
 
 _QUEUED = 1000    # lines that may wait for one handler; newer ones are dropped
-_LAST = 0.5       # s to write the waiting lines when the process ends
 
 
 class _Input(QueueHandler):
@@ -52,20 +50,16 @@ def queue_lines() -> None:
 
 
 def finish() -> bool:
-    """Write the waiting lines when the process ends; takes 0.5 s at most.
+    """Write the waiting lines when the process ends; a stream that is blocked blocks this.
 
     Returns whether all were written. If not, end the process with os._exit: the interpreter's own
-    exit would wait for ever for the blocked stream, or fail.
+    exit would fail.
     """
-    written = threading.Event()
-
-    def write() -> None:
-        with suppress(OSError, ValueError):     # a stream is full, or closed
-            for writer in _writers:
-                writer.stop()
-            for stream in filter(None, (sys.stdout, sys.stderr)):
-                stream.flush()
-            written.set()
-
-    threading.Thread(target=write, name='log flush', daemon=True).start()
-    return written.wait(_LAST)
+    try:
+        for writer in _writers:
+            writer.stop()
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            stream.flush()
+        return True
+    except (OSError, ValueError):       # one is closed
+        return False

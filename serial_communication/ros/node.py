@@ -4,27 +4,23 @@ import json
 import logging
 import os
 import signal
-import socket
 import sys
 import time
-from contextlib import suppress
 from functools import partial
-from typing import Any, Callable, Dict, Tuple
+from typing import Any, Dict, Tuple
 
 import rospy
-from rospy.impl import tcpros_base
-from std_srvs.srv import Trigger, TriggerResponse
+from std_srvs.srv import Trigger
 
-from serial_communication.srv import Release, ReleaseResponse
+from serial_communication.srv import Release
 
-from ..boards import BOARDS
+from ..boards.description import ANNOUNCED
 from ..link.link import Link
 from ..link.outcome import Refused
 from ..link.sparing_log import SparingLog
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import direct, logs, parameters, starting
-from .binder import forget_announced
 from .diagnostics import Diagnostics, log_fault
 from .geometry import publish_mounts
 from .interface import LinkOptions
@@ -44,7 +40,6 @@ _CLOSES = 1.5               # s for a link to close a port that is lent
 _ANSWERED = 0.1             # s for the answers of calls that have ended to leave
 _WORKER_PAUSE = 0.1         # s: settings, and announcements, may change all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
-_AGAIN = 10.0               # s before it ends, since roslaunch starts it again at once
 _PARAMETERS = 'SERIAL_COMMUNICATION_PARAMETERS'   # environment of a restart: the parameters, JSON
 _STOPPED = 'SERIAL_COMMUNICATION_STOPPED'      # likewise: not empty while ~stop holds
 _LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
@@ -56,8 +51,6 @@ def main() -> None:
     starting.check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     name = full_name(_NAME)
-    for number in signal.SIGINT, signal.SIGTERM:    # until rospy has handlers
-        signal.signal(number, signal.default_int_handler)
     rospy.on_shutdown(partial(starting.end_within, _LAST_RESORT, 0))
     status = 1
     try:
@@ -77,8 +70,6 @@ def _run(name: str) -> int:
         print(f'{name} is already running ({address}); end that node first (rosnode kill {name}), '
               'or give this one another name (name:=NAME for the launch file, __name:=NAME for the '
               'node)', file=sys.stderr)
-        if started_by_roslaunch():
-            time.sleep(_AGAIN)
         return starting.NAME_TAKEN
     try:
         rospy.init_node(_NAME)
@@ -105,7 +96,9 @@ def _run(name: str) -> int:
 def _start() -> None:
     given = _given()
     values, warnings = parameters.check(given, rospy.get_name())
-    forget_announced(given, [board.NAME for board in values['boards']])
+    for board in values['boards']:      # what they announced in an earlier run
+        if given.get(board.NAME, {}).pop(ANNOUNCED, None) is not None:
+            rospy.delete_param(f'~{board.NAME}/{ANNOUNCED}')
     for warning in warnings:
         rospy.logwarn(warning)
     bridge = Bridge(values, given, parameters.resolved_names(values, given))
@@ -124,46 +117,33 @@ def _given() -> Any:
     before = os.environ.pop(_PARAMETERS, '')
     if before:      # a new master does not have them
         rospy.set_param('~', json.loads(before))
-    for name in set(starting.empty_ports()) & set(BOARDS):
-        rospy.set_param(f'~{name}/port', '')
     return rospy.get_param('~', {})
 
 
 def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
     """Return the time so many seconds before `stamp`; ROS has none before 0."""
-    nanoseconds = stamp.secs * 1_000_000_000 + stamp.nsecs - int(seconds * 1e9)
-    earlier = rospy.Time.__new__(rospy.Time)     # in half the time of the call
-    earlier.secs, earlier.nsecs = divmod(max(nanoseconds, 0), 1_000_000_000)
-    return earlier
+    return rospy.Time(0, max(stamp.to_nsec() - int(seconds * 1e9), 0))
 
 
 def _offer_lending(link: Link) -> None:
-    rospy.Service(f'~{link.name}/release', Release, lambda request: ReleaseResponse(
-        *_answer(partial(_lend, link, request))))
-    rospy.Service(f'~{link.name}/reset', Trigger, lambda _: TriggerResponse(
-        *_answer(link.lending.reset)))
+    """Offer the services; each answers whether it is done, and what to say."""
+    def release(request: Any) -> Tuple[bool, str]:
+        try:
+            text = link.lending.lend(request.by, request.seconds)
+        except Refused as refused:
+            return False, str(refused)
+        if request.seconds and not link.lending.closed.wait(_CLOSES):
+            return False, 'the link did not close its port in time'
+        return True, text
 
+    def reset(_request: Any) -> Tuple[bool, str]:
+        try:
+            return True, link.lending.reset()
+        except Refused as refused:
+            return False, str(refused)
 
-def _lend(link: Link, request: Any) -> str:
-    text = link.lending.lend(request.by, request.seconds)
-    if request.seconds and not link.lending.closed.wait(_CLOSES):
-        raise Refused('the link did not close its port in time', 'late')
-    return text
-
-
-def _answer(ask: Callable[[], str]) -> Tuple[bool, str]:
-    """Whether what was asked for is done, and what to say."""
-    try:
-        return True, ask()
-    except Refused as refused:
-        return False, str(refused)
-
-
-def _accept_all_calls() -> None:
-    """Let all calls wait that come during a stall. rospy lets six wait, and the others' callers try
-    again seconds later, when a call looks new."""
-    with suppress(AttributeError, OSError):     # a private part of rospy; closed as the node ends
-        tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(socket.SOMAXCONN)
+    rospy.Service(f'~{link.name}/release', Release, release)
+    rospy.Service(f'~{link.name}/reset', Trigger, reset)
 
 
 class Bridge:
@@ -202,8 +182,7 @@ class Bridge:
                                     partial(log_fault, SparingLog('rows', _LOGGER)))
         binders = [each.binder for each in self._interfaces if each.binder]
         for binder in binders:
-            binder.serve(self._worker, names, binders,
-                         p[SETTINGS].get(binder.link.name, {}))
+            binder.serve(self._worker, names, p[SETTINGS].get(binder.link.name, {}))
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -216,7 +195,6 @@ class Bridge:
         for interface in self._interfaces:
             interface.advertise()
             _offer_lending(interface.link)
-        _accept_all_calls()
         self._worker.start()
         self._diagnostics.start()
 

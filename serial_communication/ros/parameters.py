@@ -2,7 +2,6 @@
 
 config/bridge.yaml documents them for users; a test compares the two.
 """
-import importlib
 from typing import Any, Dict, List, Tuple, Type
 
 import rospy
@@ -68,8 +67,7 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
     """
     flat = dict(_group(namespace, given))
     packages = _value('boards', NODE_PARAMETERS['boards'], flat.pop('boards', []), namespace)
-    interfaces = BUILT_IN + [importlib.import_module(description(name).package + '.ros').INTERFACE
-                             for name in packages]
+    interfaces = BUILT_IN + [description(name).interface for name in packages]
     for board in interfaces:
         group = _group(f'{namespace}/{board.NAME}', flat.pop(board.NAME, {}))
         flat.update((f'{board.NAME}/{name}', value) for name, value in group.items()
@@ -81,7 +79,7 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
     for name, parameter in parameters.items():
         if parameter.parse is not_empty:
             values[name] = values['frame_prefix'] + values[name]
-    _check_together(values, namespace)
+    _refuse_shared_ports(values, namespace)
     return values, [readable(f'parameter {namespace}/{name} is unknown and has no effect')
                     for name in sorted(flat)]
 
@@ -132,14 +130,11 @@ def _value(name: str, parameter: Parameter, value: Any, namespace: str) -> Any:
                              + (f': {error}' if str(error) else '')) from None
 
 
-def _check_together(values: Dict[str, Any], namespace: str) -> None:
+def _refuse_shared_ports(values: Dict[str, Any], namespace: str) -> None:
     ports: Dict[Any, str] = {}
     for interface in values['boards']:
-        own = of_board(interface, values)
-        problem = interface.problem(own)
-        if problem:
-            raise ParameterError(f'parameter {namespace}/{interface.NAME}/{problem}')
-        key, url = f'{namespace}/{interface.NAME}/port', own['port']
+        url = values[f'{interface.NAME}/port']
+        key = f'{namespace}/{interface.NAME}/port'
         port = identity(url) if url else None
         if port in ports:       # one of the two links would wait for it for ever
             raise ParameterError(f'parameter {key} is {url!r}, which is also the port of '

@@ -8,7 +8,6 @@ from functools import partial
 from typing import Any, Dict, List, NamedTuple, Optional
 
 from ..boards.description import Description
-from ..framing.layout import LayoutMessage
 from ..framing.rows import Kind, Row, RowError
 from .fields import RosFields, find_type
 from .parameter import Parameter, Parameters
@@ -24,10 +23,6 @@ class RosRow(NamedTuple):
     ros_class: Any = None           # of the messages or the service; None: of a setting
     fields: Any = None              # RosFields of the message, or of the service's response
     request: Optional[RosFields] = None     # of a service's request
-
-    def read(self, message: Any) -> LayoutMessage:
-        """What is sent to the board for a ROS message; ValueError for a value out of range."""
-        return self.row.message(*self.fields.read(message))
 
     def stop_request(self) -> Any:
         """The request with every field 0, which ~stop sends; ValueError if that is out of range."""

@@ -4,9 +4,8 @@ dynamic_reconfigure's own Server has a fixed list of parameters, and calls the m
 its lock. So this module has the topics and the service of one, with dynamic_reconfigure's messages.
 """
 from functools import partial
-from math import inf
 from types import SimpleNamespace
-from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
+from typing import Any, Dict, Iterable, List, Mapping
 
 import rospy
 from dynamic_reconfigure.encoding import encode_config, encode_description, get_tree
@@ -14,29 +13,15 @@ from dynamic_reconfigure.msg import Config, ConfigDescription
 from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
 from ..framing.layout import FRACTIONS
-from ..framing.rows import Setting
+from ..framing.rows import RowError, Setting
 from ..link.link import Link
-from ..link.sparing_log import SparingLog
+from ..link.settings import Shown
 from .latest_worker import LatestWorker
 from .parameter import ParameterError
 
 PARAMETER = 'settings'     # of the node: values by link and name
 _ANSWER = 0.48             # s that a call waits for the board
 _XML_RPC = 2 ** 31         # the parameter server takes no greater integer
-
-
-def set_parameter(name: str, value: Any, log: SparingLog, worker: LatestWorker,
-                  again: Callable[[], None]) -> bool:
-    """Set a parameter; if that fails, have the worker call `again`. Return whether it is set."""
-    try:
-        rospy.set_param(name, for_xml_rpc(value))
-        return True
-    except Exception as error:  # pylint: disable=broad-except
-        # rospy passes on what its master, or another server at its address, answers.
-        if not rospy.is_shutdown():
-            log.warn('parameter', f'the parameter {name} cannot be set now ({error}); trying again')
-            worker.submit(again)
-        return False
 
 
 def for_xml_rpc(value: Any) -> Any:
@@ -84,79 +69,74 @@ class SettingsServer:
                 row.checked(value)
             except ValueError as error:
                 name = rospy.resolve_name(f'~{PARAMETER}/{link.name}/{row.name}')
-                raise ParameterError(f'parameter {name} is {value!r} ({type(value).__name__}), '
-                                     f'{error}') from None
+                raise ParameterError(f'parameter {RowError(name, value, str(error))}') from None
         self._link = link
         self._settings: Any = link.session.board_settings
         self._settings.wanted.update(values)
         self._set_values = dict(values)     # that the parameter server has
         self._worker = worker
         self._name = f'~{PARAMETER}/{link.name}'
-        self._server: Optional[Tuple[rospy.Publisher, rospy.Publisher, rospy.Service]] = None
-        self._published: List[Any] = [None, None]     # the latest description and values
+        self._server: Any = None    # two publishers and a service; None: there are no settings
+        self._rows: List[Setting] = []      # that are published
         self._settings.on_change = partial(worker.submit, self.update)
 
     def update(self) -> None:
-        """Publish what has changed, and set the parameters; in the worker's thread."""
-        rows = self._settings.rows
-        if rows:
-            self._publish(rows)
-        elif self._server:
-            descriptions, updates, service = self._server
-            self._server, self._published = None, [None, None]
-            service.shutdown()
-            descriptions.unregister()
-            updates.unregister()
-        # For the next start:
-        for name, (_, wanted, _) in self._settings.shown().items():
-            if wanted is not None and wanted != self._set_values.get(name) and set_parameter(
-                    f'{self._name}/{name}', wanted, self._link.log, self._worker, self.update):
-                self._set_values[name] = wanted
-
-    def _publish(self, rows: List[Setting]) -> None:
-        if self._server is None:
+        """Publish the settings, and set the parameters; in the worker's thread."""
+        shown = self._settings.shown()
+        if shown and not self._server:
             self._server = (
                 rospy.Publisher(self._name + '/parameter_descriptions', ConfigDescription,
                                 latch=True, queue_size=10),
                 rospy.Publisher(self._name + '/parameter_updates', Config, latch=True,
                                 queue_size=10),
                 rospy.Service(self._name + '/set_parameters', Reconfigure, self._set))
-        messages = [_description(rows), self._config()]
-        for index, (topic, message) in enumerate(zip(self._server, messages)):
-            if message != self._published[index]:
-                self._published[index] = message
-                topic.publish(message)
+        if shown:
+            descriptions, updates, _ = self._server
+            rows = [each.row for each in shown.values()]
+            if rows != self._rows:
+                descriptions.publish(_description(rows))
+                self._rows = rows
+            updates.publish(_config(shown))
+        elif self._server:
+            descriptions, updates, service = self._server
+            self._server, self._rows = None, []
+            service.shutdown()
+            descriptions.unregister()
+            updates.unregister()
+        # For the next start:
+        for name, each in shown.items():
+            if each.wanted is not None and each.wanted != self._set_values.get(name):
+                rospy.set_param(f'{self._name}/{name}', for_xml_rpc(each.wanted))
+                self._set_values[name] = each.wanted
 
     def _set(self, request: Any) -> Any:
         """Want the values of a request; return those that the board uses then."""
-        rows = {row.name: row for row in self._settings.rows}
-        given = {each.name: each.value for each in (
-            *request.config.bools, *request.config.ints, *request.config.doubles)
-            if each.name in rows}
+        config, shown = request.config, self._settings.shown()
+        given = {each.name: each.value for each in (*config.bools, *config.ints, *config.doubles)
+                 if each.name in shown}
         for name, value in given.items():
-            row = rows[name]
+            row = shown[name].row
             self._settings.want(name, min(max(value, row.minimum), row.maximum))
         self._settings.wait(given, _ANSWER)
-        for name, (value, wanted, is_settled) in self._settings.shown().items():
-            if name in given and not is_settled:
-                self._link.log.warn(f'set {name}', f'the setting {name} = {wanted} is not '
+        for name, each in self._settings.shown().items():
+            if name in given and not each.is_settled:
+                self._link.log.warn(f'set {name}', f'the setting {name} = {each.wanted} is not '
                                     'confirmed by the board yet; it is sent until it is')
-            elif name in given and wanted is not None and value != wanted:
-                self._link.log.warn(f'set {name}', f'the setting {name} cannot be {wanted}: the '
-                                    f'board uses {value}')
-                self._settings.want_instead(name, wanted, value)
-        return ReconfigureResponse(self._config())
+            elif name in given and each.wanted is not None and each.value != each.wanted:
+                self._link.log.warn(f'set {name}', f'the setting {name} cannot be {each.wanted}: '
+                                    f'the board uses {each.value}')
+                self._settings.want(name, each.value)
+        return ReconfigureResponse(_config(self._settings.shown()))
 
-    def _config(self) -> Any:
-        rows = self._settings.rows
-        shown = self._settings.shown()
-        values = {}
-        for row in rows:
-            value, wanted, is_settled = shown.get(row.name, (None, None, True))
-            if value is None or not is_settled:
-                value = wanted
-            values[row.name] = _type(row)(row.default if value is None else value)
-        return encode_config({**values, 'groups': get_tree(_description(rows))})
+
+def _config(shown: Mapping[str, Shown]) -> Any:
+    values = {}
+    for name, (row, value, wanted, is_settled) in shown.items():
+        if value is None or not is_settled:
+            value = wanted
+        values[name] = _type(row)(row.default if value is None else value)
+    return encode_config({**values, 'groups': get_tree(
+        _description([each.row for each in shown.values()]))})
 
 
 def request_of(row: Setting, value: Any) -> Any:
@@ -179,8 +159,8 @@ def _type(row: Setting) -> type:
 def _description(rows: List[Setting]) -> Any:
     types = {row.name: _type(row) for row in rows}
     return encode_description(SimpleNamespace(
-        min={row.name: types[row.name](_limit(row, row.minimum)) for row in rows},
-        max={row.name: types[row.name](_limit(row, row.maximum)) for row in rows},
+        min={row.name: types[row.name](row.minimum) for row in rows},
+        max={row.name: types[row.name](row.maximum) for row in rows},
         defaults={row.name: types[row.name](row.default) for row in rows},
         config_description={
             'name': 'Default', 'id': 0, 'parent': 0, 'type': '', 'groups': [],
@@ -189,10 +169,3 @@ def _description(rows: List[Setting]) -> Any:
                 'type': {bool: 'bool', int: 'int', float: 'double'}[types[row.name]],
                 'description': f'{row.description} [{row.unit}]' if row.unit else row.description,
             } for row in rows]}))
-
-
-def _limit(row: Setting, limit: float) -> float:
-    """A limit of a row; infinite for a float without one."""
-    if row.code in FRACTIONS and limit in row.layout.values[1].range:
-        return inf if limit > 0 else -inf
-    return limit

@@ -1,24 +1,18 @@
 """The command line of the node, and a forced end of the process."""
+import argparse
 import os
 import re
-import sys
 import threading
-from contextlib import suppress
-from pathlib import Path
 from typing import List
 
 NAME_TAKEN = 3            # exit status if a node of the same name is running
-WRONG_ARGUMENTS = 2       # exit status
-_PROGRAM = 'serial_communication_node'
 _ARGUMENT = re.compile(r'[\w~/]+:=')    # ROS: a remapping, a parameter, or a special key (__name)
-_USAGE = f"""\
-usage: {_PROGRAM} [__name:=NAME] [__ns:=NAMESPACE] [_PARAMETER:=VALUE …] [OLD:=NEW …]
-
+_DESCRIPTION = f"""\
 The node that connects the serial links of a robot to ROS, usually started by bridge.launch. It
 takes ROS's arguments only; config/bridge.yaml documents its parameters.
 
 Exit status 0: it was stopped; 1: a parameter is wrong, or something failed (see the log);
-{WRONG_ARGUMENTS}: wrong arguments; {NAME_TAKEN}: a node of its name is already running.
+2: wrong arguments; {NAME_TAKEN}: a node of its name is already running.
 With a wrong parameter, a node that roslaunch started does not exit, since roslaunch would start
 it again: it waits until it is stopped.
 """
@@ -26,13 +20,11 @@ it again: it waits until it is stopped.
 
 def check_arguments(arguments: List[str]) -> None:
     """Print the usage and exit if it was asked for, or if an argument is not one of ROS's."""
-    if '-h' in arguments or '--help' in arguments:
-        print(_USAGE, end='')
-        sys.exit(0)
-    for argument in arguments:
-        if not _ARGUMENT.match(argument):
-            print(f'{_PROGRAM}: unknown argument {argument!r}\n{_USAGE}', end='', file=sys.stderr)
-            sys.exit(WRONG_ARGUMENTS)
+    argparse.ArgumentParser(
+        'serial_communication_node', description=_DESCRIPTION,
+        usage='%(prog)s [__name:=NAME] [__ns:=NAMESPACE] [_PARAMETER:=VALUE …] [OLD:=NEW …]',
+        formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(
+            [each for each in arguments if not _ARGUMENT.match(each)])
 
 
 def end_within(seconds: float, status: int) -> None:
@@ -40,16 +32,3 @@ def end_within(seconds: float, status: int) -> None:
     timer = threading.Timer(seconds, os._exit, [status])
     timer.daemon = True
     timer.start()
-
-
-def empty_ports() -> List[str]:
-    """Return the name of each link that an argument such as ``mcu_port:=`` turned off.
-
-    roslaunch drops an argument without a value, so its launch file cannot see it. Here it is read
-    from the command line of the roslaunch above this process, if that started bridge.launch.
-    """
-    with suppress(OSError, ValueError):
-        words = Path(f'/proc/{os.getppid()}/cmdline').read_text().split('\0')
-        if any(os.path.basename(word) == 'bridge.launch' for word in words):
-            return [word[:-len('_port:=')] for word in words if word.endswith('_port:=')]
-    return []

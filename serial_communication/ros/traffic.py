@@ -2,7 +2,7 @@
 import logging
 import queue
 import threading
-from typing import Callable, Iterable, Tuple
+from typing import Any, Iterable, Tuple
 
 import rospy
 
@@ -29,18 +29,23 @@ class Traffic(rospy.SubscribeListener):
         self._links = list(links)
         # put() never blocks.
         self._queue: 'queue.SimpleQueue[Tuple[str, int, Frame]]' = queue.SimpleQueue()
-        self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
+        self._lock = threading.Lock()
+        with self._lock:        # rospy may call `peer_subscribe` at once
+            self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
         threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
-        self._listen()      # rospy adds the listener after others may have subscribed
+        self._look()        # others may have subscribed before rospy had the listener
 
-    def peer_subscribe(self, topic_name: str, topic_publish: Callable,
-                       peer_publish: Callable) -> None:
-        """Have the links pass on their frames; called by rospy."""
-        self._listen()
+    def peer_subscribe(self, *_: Any) -> None:
+        """Called by rospy."""
+        self._look()
 
-    def _listen(self) -> None:
-        for link in self._links:
-            link.traffic.tap = self._enqueue
+    peer_unsubscribe = peer_subscribe
+
+    def _look(self) -> None:
+        with self._lock:
+            tap = self._enqueue if wanted(self._topic) else None
+            for link in self._links:
+                link.traffic.tap = tap
 
     def _enqueue(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:
@@ -50,13 +55,7 @@ class Traffic(rospy.SubscribeListener):
         while True:
             frame = self._queue.get()
             try:
-                if wanted(self._topic):
-                    self._publish(*frame)
-                    continue
-                for link in self._links:
-                    link.traffic.tap = None
-                if wanted(self._topic):     # somebody has subscribed meanwhile
-                    self._listen()
+                self._publish(*frame)
             except Exception as error:  # pylint: disable=broad-except
                 log_fault(self._log, error)
 

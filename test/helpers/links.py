@@ -19,7 +19,7 @@ class ArduinoLink(Link):
                  **arguments):
         of_link = {name: arguments.pop(name) for name in _OF_LINK if name in arguments}
         super().__init__(port, CarSession(
-            SparingLog('arduino', logger, clock=now), options, byte_time=10.0 / port.baud, now=now,
+            SparingLog('arduino', logger, clock=now), options, byte_time=10.0 / port.baud,
             **arguments), now=now, **of_link)
         for message in messages:
             self.session.decoder.add_message(message)

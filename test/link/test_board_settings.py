@@ -8,7 +8,6 @@ from board_rows import car_settings
 
 from serial_communication.framing.rows import BOARD
 from serial_communication.framing.settings import SettingMessage
-from serial_communication.link.outcome import Refused
 from serial_communication.link.settings import BoardSettings
 from serial_communication.link.sparing_log import SparingLog
 
@@ -25,19 +24,14 @@ class Rig:
         self.sent = []            # (time, number, value)
         self.kinds = []
         self.woken = 0
-        self.refuses = self.is_current = False
+        self.is_current = False
         log = SparingLog('arduino', logging.getLogger('rig'))
-        self.settings = BoardSettings(log, self.kinds.append, self._wake, lambda: self.now)
+        self.settings = BoardSettings(log, self.kinds.append, self._wake)
         self.remove = {row.name: self.settings.add(replace(
             row, origin=BOARD) if announced else row) for row in car_settings(rows)}
 
     def _wake(self):
         self.woken += 1
-
-    def _write(self, message):
-        if self.refuses:
-            raise Refused('not now', 'calibrating')
-        self.sent.append((round(self.now, 3), *self.kinds[-1].unpack(message.pack())))
 
     def report(self, number, value):
         """The board reports a value."""
@@ -47,14 +41,16 @@ class Rig:
         """Let so much time pass, calling `send` when it asks for it."""
         end = self.now + seconds
         while True:
-            due = self.settings.send(self.now, self._write, self.is_current)
+            messages, due = self.settings.send(self.now, self.is_current)
+            self.sent += [(round(self.now, 3), *self.kinds[-1].unpack(message.pack()))
+                          for message in messages]
             if due is None or due > end:
                 self.now = end
                 return
             self.now = due
 
     def shown(self, name='kp'):
-        return self.settings.shown()[name]
+        return self.settings.shown()[name][1:]
 
 
 @pytest.fixture
@@ -119,12 +115,10 @@ def test_a_board_that_starts_again_gets_all_wanted_values_as_soon_as_it_reports_
 def test_a_value_that_the_board_limits_is_known_after_three_answers(rig):
     rig.report(1, 1.0)
     rig.settings.want('kp', 9.0)
-    for count in range(3):
+    for _ in range(3):
         assert not rig.shown()[2]
-        rig.step()
+        rig.step(0.0 if len(rig.sent) < 1 else 0.2)
         rig.report(1, 5.0)
-        rig.report(1, 5.0)         # its reports in turn tell nothing about a try
-        rig.step(0.2 if count < 2 else 0.0)
     assert rig.shown() == (5.0, 9.0, True)
     assert rig.settings.values()[1] == ('settings unconfirmed', 'kp=9')
     rig.settings.want('kp', 5.0)

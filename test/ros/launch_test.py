@@ -6,11 +6,9 @@ import subprocess
 import tempfile
 import unittest
 
-import rosgraph
 import roslaunch
 import rospy
 import rostest
-import yaml
 from sensor_msgs.msg import Imu, Range, RelativeHumidity, Temperature
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -160,19 +158,6 @@ class Launch(BoardsTest):
               doing=lambda: speed.publish(value=300))
         self.end()
         until(lambda: self.car.raws[-1:] == [SPEED_0_PACKET], 'SPEED 0 is the last packet')
-
-    def test_a_single_empty_port_leaves_the_other_links_as_configured(self):
-        self.plug_two()
-        config = os.path.join(self.folder, 'robot.yaml')
-        with open(config, 'w') as file:
-            yaml.safe_dump({name: {'port': os.path.join(self.folder, name)}
-                            for name in ('bus', 'arduino', 'mcu')}, file)
-        self.launch('config:=' + config, 'mcu_port:=')
-        self.assert_two_links_work()
-        state = rosgraph.Master('/launch_test').getSystemState()[0]
-        self.assertEqual([name for name, nodes in state if name.startswith('/mcu')
-                          and '/serial_communication' in nodes], [])
-        self.assertEqual(rospy.get_param('/serial_communication/mcu/port'), '')
 
     def test_with_simulated_boards_every_topic_has_data_and_every_service_works(self):
         self.launch('sim:=true', 'publish_tf:=true')

@@ -87,7 +87,7 @@ class Robot:
         self.link: Any
         if kind == 'arduino':
             self.link = Link(port, CarSession(
-                log, CarOptions(**parameters), on_message=self._publish, now=world.clock,
+                log, CarOptions(**parameters), on_message=self._publish,
                 on_calibrating=lambda on: self.calibrating.append((world.clock(), on))), **clocks)
         elif kind == 'mcu':
             self.link = Link(port, SensorSession(

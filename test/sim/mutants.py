@@ -90,9 +90,9 @@ MUTANTS: Dict[str, Mutant] = {
         _returns(False)),
     'a setting is confirmed by an older report': Mutant(
         'a confirmed setting is in use', 'link.settings.BoardSettings', 'send', lambda method:
-            lambda self, now, write, is_current: [
+            lambda self, now, is_current: [
                 setattr(state, 'confirmed', state.value is not None)
-                for state in self._states.values()] and method(self, now, write, is_current)),
+                for state in self._states.values()] and method(self, now, is_current)),
     'a lent port is opened': Mutant(
         'a lent port is left alone', 'link.lending.Lending', 'runs',
         lambda _method: property(lambda self: False)),

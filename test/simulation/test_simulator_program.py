@@ -54,7 +54,7 @@ def tty():
 
 
 @pytest.mark.parametrize('arguments, says', [
-    ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], 'has no DESCRIPTION'),
+    ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], "no attribute 'DESCRIPTION'"),
     (['bus', '--port', 'x', '--link', 'y'], 'not allowed'), (['bus', '--port', ''], 'is empty'),
     (['mcu', '--port', 'x', '--faults', 'flip=0.1 flap=1'], 'flap'),
     (['bus', '--port', 'x', '--lift-speed', '0'], 'lift-speed'),

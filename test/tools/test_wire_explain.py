@@ -182,12 +182,6 @@ def test_announced_messages_are_known_in_all_of_the_bytes():
     assert explain.explain(message + chunks[:-1], settings('arduino'))[0].trouble
 
 
-def test_replies_with_cmd2_need_their_option():
-    assert run('bus', 'a500020087', '--received').returncode == 1
-    done = run('bus', '--reply-has-cmd2', '--received', 'a5000220', '87')
-    assert done.returncode == 0 and 'CMD2' in done.stdout
-
-
 # -- the text of bytes ----------------------------------------------------------------------------
 
 @pytest.mark.parametrize('text', [

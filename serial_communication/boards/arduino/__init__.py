@@ -6,7 +6,7 @@ from ...framing.row_reader import RESERVED, Group
 from ...framing.rows import Kind, Row, Setting
 from ...framing.settings import message_of
 from ...framing.stream import Decoder
-from ..description import Description, Heartbeat, Service, Topic
+from ..description import Description, Service, Topic
 from . import wire
 
 
@@ -51,6 +51,6 @@ DESCRIPTION = Description(
         'sends no IMU data.')),
         Service('~arduino/reset', 'std_srvs/Trigger', 'reset the car', confirm=(
             'The car stops, and its board starts anew.'))),
-    heartbeat=Heartbeat(wire.Heartbeat.TYPE, LONGEST_GAP),
+    longest_gap=LONGEST_GAP,
     between=b'\0',
     network_silence=1.5)

@@ -4,7 +4,7 @@ from typing import Any, Dict
 
 import rospy
 from sensor_msgs.msg import Temperature
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, Header
 from std_srvs.srv import Empty, EmptyResponse
 
 from ...link.outcome import Refused
@@ -58,8 +58,7 @@ class ArduinoInterface(Interface):
         self._imu = ImuTopic('~imu', p, p['angular_velocity_stdev'],
                              p['linear_acceleration_stdev'])
         self._temperature = publisher('~imu/temperature', Temperature)
-        self._temperature_message = Temperature()
-        self._temperature_message.header.frame_id = p['imu_frame_id']
+        self._frame_id = p['imu_frame_id']
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
         self._calibrating.publish(False)
         options = CarOptions(**{name: p[name] for name in CarOptions._fields})
@@ -90,9 +89,7 @@ class ArduinoInterface(Interface):
                               message.angular_velocity(self._gyro_scale),
                               message.linear_acceleration())
         if wanted(self._temperature):
-            self._temperature_message.header.stamp = stamp
-            self._temperature_message.temperature = message.temperature()
-            self._temperature.publish(self._temperature_message)
+            self._temperature.publish(Header(0, stamp, self._frame_id), message.temperature(), 0.0)
 
     @staticmethod
     def _log(severity: int, text: str) -> None:

@@ -13,7 +13,7 @@ from ...link.outcome import STOPPED
 from ...link.session import OK, WARN, Condition, Packet, Refused, Session
 from ...link.settings import BoardSettings
 from ...link.sparing_log import SparingLog
-from ...transport.pace import Allowance, clock
+from ...transport.pace import Allowance
 from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import Calibration, End
 from .heartbeats import Heartbeats
@@ -49,7 +49,6 @@ class CarSession(Session):
             the board sends too many, some are dropped.
         on_calibrating: called with True when a calibration begins, with False when it ends.
         byte_time: s that the line needs for a byte.
-        now: the clock of settings alone: their sender may stall between two.
     """
 
     NAME = DESCRIPTION.name
@@ -61,10 +60,10 @@ class CarSession(Session):
                  on_message: Callable[[Any, Any], None] = lambda message, stamp: None,
                  on_log: Callable[[int, str], None] = lambda severity, text: None,
                  on_calibrating: Callable[[bool], None] = lambda on: None,
-                 byte_time: float = 10 / 115200, now: Callable[[], float] = clock) -> None:
+                 byte_time: float = 10 / 115200) -> None:
         decoder = wire.Decoder(options.check_plausibility)
         super().__init__(decoder, log, options.network_silence)
-        self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake(), now)
+        self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake())
         self.heartbeats = Heartbeats(options.heartbeat_rate)
         self.calibration: Optional[Calibration] = None
         self._options = options
@@ -150,8 +149,7 @@ class CarSession(Session):
         self.idle(now)
         if self.calibration:
             return [], None
-        messages: List[Any] = []
-        due = self.board_settings.send(now, messages.append, self.announcement.is_current)
+        messages, due = self.board_settings.send(now, self.announcement.is_current)
         return self._packets(messages, now), due
 
     def stop(self, now: float, why: str = '') -> Tuple[List[Packet], str]:
@@ -222,7 +220,7 @@ class CarSession(Session):
             motion.forget()         # any thread may be the first to write when it is open again
         self.dropped()
         self.heartbeats.begin(None)
-        self.board_settings.closed()
+        self.board_settings.reset()
 
     def received(self, frame: Frame, now: float) -> None:
         message = frame.message

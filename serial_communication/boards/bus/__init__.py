@@ -37,5 +37,4 @@ DESCRIPTION = Description(
         Service('~bus/echo', 'std_srvs/Trigger', 'echo'),
         Service('~bus/sync', 'std_srvs/Trigger', 'sync')),
     other_names=('~bus/request', '~get_environment'),
-    wire_flags={'reply_has_cmd2': "replies carry their request's CMD2"},
     question=wire.encode_request(wire.SYNC_REQUEST))

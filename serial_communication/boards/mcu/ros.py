@@ -12,7 +12,8 @@ from ...framing.rotation import quaternion
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
 from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
+from ...ros.parameter import (MOUNT, PORT, RESET_LINE, Parameter, ParameterError, baud,
+                              frame_id, seconds)
 from ...ros.publishing import publisher, wanted
 from ...ros.rows import row_parameters
 from ...transport.port import Port
@@ -53,6 +54,10 @@ class McuInterface(Interface):
 
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
+        if p['min_range'] >= p['max_range']:
+            raise ParameterError(f'parameter {rospy.resolve_name("~mcu/min_range")} is '
+                                 f'{p["min_range"]:g} m, has to be less than mcu/max_range, which '
+                                 f'is {p["max_range"]:g} m')
         self._turn = -1.0 if p['yaw_clockwise'] else 1.0
         self._ranges = [(publisher(f'mcu/range_{number}', Range), _range(p, number))
                         for number in (1, 2)]
@@ -64,12 +69,6 @@ class McuInterface(Interface):
             on_silence=self._silent, network_silence=p['network_silence'])
         self.link = link_options.link(Port(p['port'], p['baud']), self._session, p['board_time'])
         self.binder = Binder(DESCRIPTION, self.link, p)
-
-    @staticmethod
-    def problem(parameters: Dict[str, Any]) -> str:
-        low, high = parameters['min_range'], parameters['max_range']
-        return '' if low < high else \
-            f'min_range is {low:g} m, has to be less than mcu/max_range, which is {high:g} m'
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
         if message.TYPE not in wire.MESSAGES:

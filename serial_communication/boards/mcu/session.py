@@ -47,7 +47,7 @@ class SensorSession(Session):
                  network_silence: float = 5.0, now: Callable[[], float] = clock) -> None:
         decoder = wire.Decoder()
         super().__init__(decoder, log, network_silence)
-        self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake(), now)
+        self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake())
         self.checksum_errors = 0        # those before the frame that is delivered
         self._lost = self._doubled = 0  # frames
         self._is_silent = True          # no message of any class is received
@@ -66,7 +66,7 @@ class SensorSession(Session):
         self.board_settings.reset()
 
     def end(self, why: str, now: float) -> None:
-        self.board_settings.closed()
+        self.board_settings.reset()
 
     def received(self, frame: Frame, now: float) -> None:
         message = frame.message
@@ -107,8 +107,7 @@ class SensorSession(Session):
         return False
 
     def due(self, now: float, is_drained: bool) -> Tuple[List[Packet], Optional[float]]:
-        messages: List[SettingMessage] = []
-        due = self.board_settings.send(now, messages.append, self.announcement.is_current)
+        messages, due = self.board_settings.send(now, self.announcement.is_current)
         silent_at = self.idle(now)
         return list(map(self._packet, messages)), silent_at if due is None else min(due, silent_at)
 

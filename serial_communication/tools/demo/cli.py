@@ -107,7 +107,7 @@ def main(argv: Optional[List[str]] = None) -> int:
     """Show the table. Return the exit status: 1 if something is missing after --duration."""
     prepare_output()
     options = _arguments(argv)
-    return end_with_output('table', lambda: _run(options))
+    return end_with_output(lambda: _run(options))
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -32,7 +32,7 @@ def main(argv: Optional[List[str]] = None) -> int:
     """Run the monitor and return the exit status."""
     prepare_output()
     options = _arguments(argv)
-    return end_with_output('monitor', lambda: _run(options))
+    return end_with_output(lambda: _run(options))
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -244,8 +244,7 @@ class Feed:
         return self._explainer.explain(message, at)
 
     def _boards(self) -> Dict[str, Any]:
-        return {board.name: {'title': board.title, 'longest_gap':
-                             board.heartbeat.longest_gap if board.heartbeat else None}
+        return {board.name: {'title': board.title, 'longest_gap': board.longest_gap}
                 for board in self.state.boards}
 
     def _known(self) -> Dict[str, Any]:

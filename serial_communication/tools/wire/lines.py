@@ -2,7 +2,7 @@
 import argparse
 from typing import Any, Mapping, NamedTuple
 
-from ...boards import BOARDS, BoardError, descriptions, find
+from ...boards import BOARDS, BoardError, find
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...boards.description import Description
 from ...framing.stream import Decoder
@@ -31,11 +31,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('link', metavar='LINK',
                         help='the protocol: ' + ', '.join(BOARDS) + ', a link of a board in '
                              '--config, or a package with a board')
-    for board in descriptions():
-        for flag, meaning in board.wire_flags.items():
-            parser.add_argument('--' + flag.replace('_', '-'), action='append_const',
-                                dest='flags', const=flag, default=[],
-                                help=f'{board.name}: {meaning}')
     parser.add_argument('--config', default='', metavar='FILE',
                         help="the bridge's parameters, for its baud rates, its custom messages and "
                              'functions, and its boards of other packages')
@@ -67,8 +62,7 @@ def settings(options: argparse.Namespace) -> Settings:
         parameters = read_parameters(options.config) if options.config else {}
         board = find(options.link, board_packages(parameters))
         own = board_parameters(parameters, board.name)
-        flags = {flag: True for flag in options.flags if flag in board.wire_flags}
-        line = Settings(board, options.baud or board.baud_of(own), {**own, **flags})
+        line = Settings(board, options.baud or board.baud_of(own), own)
         decoder(line, False)
     except BoardError as error:
         raise UsageError(f'there is no board {options.link}, only {", ".join(BOARDS)}; for a board '

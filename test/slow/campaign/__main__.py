@@ -28,5 +28,5 @@ if options.keep and os.path.isdir(options.keep) and os.listdir(options.keep):
 from serial_communication.output import end_with_output  # noqa: E402
 from .cli import main  # noqa: E402
 
-status = end_with_output('campaign', lambda: main(options))
+status = end_with_output(lambda: main(options))
 os._exit(status)        # rospy's own exit may wait for a bridge that has ended

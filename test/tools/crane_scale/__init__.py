@@ -1,5 +1,5 @@
 """A board of another package, for the tests of `wire`: a crane scale."""
-from serial_communication.boards.description import Description, Heartbeat
+from serial_communication.boards.description import Description
 from serial_communication.framing.row_reader import Group
 from serial_communication.framing.rows import Kind
 
@@ -13,4 +13,4 @@ def _decoder(sent, parameters):
 DESCRIPTION = Description(
     'scale', __name__, _decoder,
     groups=(Group('messages', 'scale/', (Kind.FROM,), range(3, 16), 8),),
-    heartbeat=Heartbeat(wire.Hold.TYPE, longest_gap=0.2), baud=9600, between=b'\n')
+    longest_gap=0.2, baud=9600, between=b'\n')
