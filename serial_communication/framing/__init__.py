@@ -1,8 +1,6 @@
 """Bytes <-> frames <-> typed messages. Pure: no I/O, no clock, no thread, no rospy.
 
-Every decoder has the members of `stream.Decoder`. The frames that it returns do not depend on how
-the bytes were cut into reads. A decoder never raises for bytes that a line may carry: it returns an
-invalid frame as a `Frame` with a cause, and counts it in ``errors`` under that cause.
+Every decoder is a `stream.Decoder`.
 
 Every message class has
 

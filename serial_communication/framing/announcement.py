@@ -10,7 +10,7 @@ CRC-16/CCITT-FALSE, little-endian. Each link has one type for chunks, `TYPE`.
 import binascii
 import struct
 from collections import namedtuple
-from typing import Any, Dict, Iterator, List, NamedTuple, Optional, Tuple
+from typing import Any, Dict, List, NamedTuple, Optional, Tuple
 
 from .layout import Layout, LayoutMessage, Value, brief, readable
 
@@ -19,7 +19,6 @@ LONGEST = 2048       # bytes of a text
 MOST_ROWS = 16       # in a text
 _LONGEST_NAME = 80   # characters of the firmware's name and version
 _HEADER = struct.Struct('<BBH')
-_MOST_TEXTS = 4      # that are assembled at a time
 
 _Key = Tuple[int, int]     # CRC and count
 
@@ -39,7 +38,6 @@ class Chunk(LayoutMessage, namedtuple('Chunk', 'index count crc text')):
 
     @classmethod
     def unpack(cls, data: bytes) -> 'Chunk':
-        """From the data; struct.error if it has fewer than four bytes."""
         return tuple.__new__(cls, (*_HEADER.unpack_from(data), data[_HEADER.size:]))
 
     def pack(self) -> bytes:
@@ -55,15 +53,8 @@ class Chunk(LayoutMessage, namedtuple('Chunk', 'index count crc text')):
 
 
 def chunks_of(text: bytes, size: int) -> List[Chunk]:
-    """The chunks of a text, with at most `size` bytes of it each.
-
-    Raises:
-        ValueError: the text is too long, or needs more than 255 chunks.
-    """
+    """The chunks of a text, with at most `size` bytes of it each; at most 255 of them."""
     pieces = [text[at:at + size] for at in range(0, len(text), size)] or [b'']
-    if len(text) > LONGEST or len(pieces) > 255:
-        raise ValueError(f'{len(text)} bytes to announce in chunks of {size}, may be at most '
-                         f'{min(LONGEST, 255 * size)}')
     crc = crc_of(text)
     return [Chunk(index, len(pieces), crc, piece) for index, piece in enumerate(pieces)]
 
@@ -71,9 +62,8 @@ def chunks_of(text: bytes, size: int) -> List[Chunk]:
 class Assembly:
     """Assembles the text of one board, whatever chunks are lost, repeated, damaged or mixed up.
 
-    Chunks belong together if they have the same CRC and count. The chunks of a few texts are kept,
-    so one with a damaged CRC or count does not undo those before it. Of an index the latest chunk
-    counts, so a damaged one is replaced when the board sends it again.
+    Chunks belong together if they have the same CRC and count; any other chunk begins anew. Of an
+    index the latest chunk counts, so a damaged one is replaced when the board sends it again.
     """
 
     def __init__(self) -> None:
@@ -81,8 +71,8 @@ class Assembly:
         self.confirmed = False     # a chunk of it was received since the port was opened
         self._crc = -1             # of the text
         self._key: Optional[_Key] = None     # of the text; None: not assembled since then
-        # The texts of the chunks of each unfinished text; the one with the latest chunk comes last.
-        self._begun: Dict[_Key, Dict[int, bytes]] = {}
+        self._begun: Optional[_Key] = None   # of the text that is being assembled
+        self._pieces: Dict[int, bytes] = {}  # its chunks' texts so far, by index
 
     @property
     def complete(self) -> bool:
@@ -91,8 +81,7 @@ class Assembly:
 
     def reset(self) -> None:
         """The port was closed: forget all chunks, but not the text."""
-        self._begun.clear()
-        self._key = None
+        self._key = self._begun = None
         self.confirmed = False
 
     def add(self, chunk: Chunk) -> Optional[bytes]:
@@ -105,17 +94,15 @@ class Assembly:
         self.confirmed |= chunk.crc == self._crc
         if key == self._key or chunk.implausible():
             return None     # if it differs from the text's chunk, it is damaged
-        pieces = self._begun.pop(key, {})
-        pieces[chunk.index] = chunk.text
-        if sum(map(len, pieces.values())) > LONGEST:
+        if key != self._begun:
+            self._begun, self._pieces = key, {}
+        self._pieces[chunk.index] = chunk.text
+        text = b''.join(self._pieces[index] for index in sorted(self._pieces))
+        if len(text) > LONGEST:
+            self._begun = None
             raise ValueError(f'the announcement has over {LONGEST} bytes; it is ignored')
-        self._begun[key] = pieces
-        if len(self._begun) > _MOST_TEXTS:
-            del self._begun[next(iter(self._begun))]
-        text = b''.join(pieces[index] for index in sorted(pieces))
-        if len(pieces) < chunk.count or crc_of(text) != chunk.crc:
+        if len(self._pieces) < chunk.count or crc_of(text) != chunk.crc:
             return None
-        self._begun.clear()
         self._key = key
         return self.whole(text)
 
@@ -135,10 +122,7 @@ class Announcement(NamedTuple):
 
 
 def read_announcement(text: bytes) -> Announcement:
-    """Read the text of an announcement: one row a line, after a line with the firmware's name.
-
-    It may hold anything: nothing is raised.
-    """
+    """Read the text of an announcement, which may hold anything: nothing is raised."""
     firmware = ''
     rows: Dict[str, Any] = {}
     problems: List[str] = []
@@ -174,27 +158,11 @@ def _read_row(line: str) -> Tuple[str, Any]:
     (name, row), = found.items()
     if not isinstance(name, str):
         raise ValueError('the name of the row is no text')
-    if any(text != readable(text) for text in _texts(row)):
-        # It could neither be published nor be set on the parameter server.
-        raise ValueError('a text has a control character')
     return name, row
 
 
-def _texts(value: Any) -> Iterator[str]:
-    """All texts in a row, without its keys, which are checked later."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, (dict, list, tuple, set)):
-        for each in value.values() if isinstance(value, dict) else value:
-            yield from _texts(each)
-
-
 def write_announcement(rows: Dict[str, Any], firmware: str = '') -> bytes:
-    """The text that announces these rows, as `read_announcement` reads it.
-
-    Raises:
-        ValueError: it is too long, or there are too many rows.
-    """
+    """The text that announces these rows; ValueError if it is too long, or there are too many."""
     import yaml
     # Writes out what two keys share, since an announcement may have no references.
     dumper = type('Dumper', (yaml.SafeDumper,), {'ignore_aliases': lambda self, data: True})

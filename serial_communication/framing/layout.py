@@ -13,12 +13,14 @@ from unicodedata import category
 
 NUMBERS = 'bBhHiIlLqQefd?'     # struct's codes that hold one number each
 FRACTIONS = 'efd'             # those of them for floats
+FINITE = 'finite'             # in place of a code: of a field for any number that is finite
 # The least and the greatest raw number of each code.
-_RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'd': (-inf, inf), 's': (-inf, inf),
-           'f': (-3.4028234663852886e38, 3.4028234663852886e38)}
+RANGES = {'?': (0, 1), 'e': (-65504.0, 65504.0), 'd': (-inf, inf), 's': (-inf, inf),
+          FINITE: (-1.7976931348623157e308, 1.7976931348623157e308),
+          'f': (-3.4028234663852886e38, 3.4028234663852886e38)}
 for _code, _bits in zip('bhilq', (8, 16, 32, 32, 64)):
-    _RANGES[_code] = -2 ** (_bits - 1), 2 ** (_bits - 1) - 1
-    _RANGES[_code.upper()] = 0, 2 ** _bits - 1
+    RANGES[_code] = -2 ** (_bits - 1), 2 ** (_bits - 1) - 1
+    RANGES[_code.upper()] = 0, 2 ** _bits - 1
 
 _NEAR = 0.01        # raw steps; a whole raw number that is nearer to a limit is at the limit
 
@@ -49,11 +51,6 @@ class Value(NamedTuple):
         return 'text' if self.code == 's' else 'number' if self.end >= 0 else 'array'
 
     @property
-    def room(self) -> Optional[int]:
-        """How many bytes its place has; None: all up to the end of the data."""
-        return self.end - self.start if self.end >= 0 else None
-
-    @property
     def is_scaled(self) -> bool:
         """Whether the value differs from the raw number. Without a scale an int stays an int."""
         return self.scale != 1 or self.offset != 0
@@ -72,7 +69,7 @@ class Value(NamedTuple):
     @property
     def range(self) -> Tuple[float, float]:
         """The least and the greatest value that its place can hold; infinite for a text."""
-        low, high = sorted(raw * self.scale + self.offset for raw in _RANGES[self.code])
+        low, high = sorted(raw * self.scale + self.offset for raw in RANGES[self.code])
         return low, high
 
     @property
@@ -104,12 +101,8 @@ class Value(NamedTuple):
             raw * self.scale + self.offset
 
     def packed(self, given: Any, order: str) -> bytes:
-        """The data of a value, in the byte order '<' or '>'.
-
-        Raises:
-            struct.error, OverflowError, TypeError, ValueError, AttributeError: its place cannot
-                hold the value.
-        """
+        """The data of a value, in the byte order '<' or '>'. One that its place cannot hold raises
+        any of the errors that `Layout.pack` catches."""
         if self.code == 's':
             text = given.encode()
             if b'\0' in text or 0 <= self.end < self.start + len(text):
@@ -122,29 +115,22 @@ class Value(NamedTuple):
         """The raw number that is nearest to a value."""
         if number is NO_VALUE and self.invalid is not None:
             return self.invalid if self.code in FRACTIONS else int(self.invalid)
-        if not isinstance(number, (int, float)):
-            raise TypeError
         if self.is_scaled:
             number = (number - self.offset) / self.scale
-        if self.code == '?':
-            if not isfinite(number):
-                raise ValueError
-            return number != 0
-        return number if self.code in FRACTIONS else round(number)
+        return number if self.code in FRACTIONS + '?' else round(number)
 
-    def why_implausible(self, given: Any, low: float, high: float) -> str:
-        """Why a value, or one number of an array, is outside its `limits`; '' if it is not."""
-        if not self.is_limited:
-            return ''
-        unit = f' {self.unit}'.rstrip()
+    def why_implausible(self, given: Any, low: float, high: float, takes_nan: bool = False) -> str:
+        """Why a value, or one number of an array, is outside these limits; '' if it is not.
+
+        Args:
+            takes_nan: NaN and infinities are inside.
+        """
         for number in given if isinstance(given, tuple) else (given,):
-            if number is not NO_VALUE and not low <= number <= high:
-                why = f'{self.name} is {number:.6g}, '
-                if self.maximum == inf:
-                    return f'{why}below the minimum of {self.minimum:g}{unit}'
-                if self.minimum == -inf:
-                    return f'{why}above the maximum of {self.maximum:g}{unit}'
-                return f'{why}out of range ({self.minimum:g} … {self.maximum:g}{unit})'
+            if not (low <= number <= high or number is NO_VALUE
+                    or takes_nan and not isfinite(number)):
+                least, most = max(low, self.minimum), min(high, self.maximum)
+                return f'{self.name} is {number:.6g}, out of range ' \
+                       f'({least:g} … {most:g}{" " * bool(self.unit)}{self.unit})'
         return ''
 
 
@@ -157,16 +143,14 @@ class Layout:
             ``s`` without a number is a text to the end of the data or its first 0x00. Texts are
             UTF-8.
         values: one for each value in the format.
+        fields: struct's codes of the ROS fields that have to hold the values; '' holds any.
 
     Raises:
-        ValueError: the format is invalid, or it has another number of values.
+        ValueError: the format is invalid.
     """
 
-    def __init__(self, layout: str, values: Sequence[Value]) -> None:
-        fixed, rest = _split(layout)
-        places = _places(fixed, rest)
-        if len(places) != len(values):
-            raise ValueError(f'it has {len(places)} values, not {len(values)}')
+    def __init__(self, layout: str, values: Sequence[Value], fields: Sequence[str] = ()) -> None:
+        fixed, rest, places = places_of(layout)
         self.layout = layout
         self.values = tuple([value._replace(code=code, start=start, end=end)
                              for value, (code, start, end) in zip(values, places)])
@@ -176,8 +160,19 @@ class Layout:
         self._step = struct.calcsize(layout[0] + rest) if rest else 0
         self._scaled = [(index, value) for index, value in enumerate(self.values)
                         if value.is_scaled or value.invalid is not None]
-        self._limited = [(index, *value.limits)
-                         for index, value in enumerate(self.values) if value.is_limited]
+        # The index of each limited value, its limits, and whether it may be NaN.
+        self._limited: List[Tuple[int, float, float, bool]] = []
+        for index, (value, field) in enumerate(zip(self.values, fields or [''] * len(places))):
+            least, most = RANGES[field] if field else (-inf, inf)
+            low, high = value.limits
+            is_wide = value.range[0] < least or value.range[1] > most \
+                or value.code in FRACTIONS and bool(field) and field not in FRACTIONS
+            if is_wide:      # what is rounded to `most` may be greater; a float of 2 ** 63 may not
+                low = max(low, least - 0.5)
+                high = min(high, most if most > 2 ** 53 else most + 0.49)
+            if is_wide or value.is_limited:
+                self._limited.append((index, low, high,
+                                      field in FRACTIONS and not value.is_limited))
         # Called for every packet, so it is struct's own function where that is enough.
         is_simple = all(value.kind == 'number' for value in self.values)
         self.raw: Callable[[bytes], Tuple] = self._struct.unpack if is_simple else self._raw
@@ -195,16 +190,14 @@ class Layout:
 
     def sizes(self) -> str:
         """How many bytes of data it may have, in words."""
-        if not self._step:
-            return f'{self.size}'
-        return f'{self.size}, {self.size + self._step}, {self.size + 2 * self._step} …'
+        return f'{self.size}' + f' and a multiple of {self._step}' * bool(self._step)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Layout) and (self.layout, self.values) == (
             other.layout, other.values)
 
     def __hash__(self) -> int:
-        return hash((self.layout, self.values))
+        return hash(self.layout)
 
     def _unpack(self, data: bytes) -> Tuple:
         """The general `unpack`: the values; struct.error if `data` has the wrong length."""
@@ -229,32 +222,24 @@ class Layout:
         """The data of these values.
 
         Raises:
-            ValueError: a value that its place cannot hold, or the wrong number of values.
+            ValueError: a value that its place cannot hold.
         """
-        if len(values) != len(self.values):
-            raise ValueError(f'{len(values)} values, not {len(self.values)}')
         data = bytearray(self.size)
         for given, value in zip(values, self.values):
-            if not value.name:
-                continue
             try:
-                packed = value.packed(given, self.layout[0])
+                packed = value.packed(given, self.layout[0]) if value.name else b''
             except (struct.error, OverflowError, TypeError, ValueError, AttributeError):
                 raise ValueError(f'{value.name} is {brief(given, 40)}, which its place '
                                  f'({value.code}) cannot hold') from None
             data[value.start:value.start + len(packed)] = packed
         return bytes(data)
 
-    def pack_raw(self, raw: Sequence) -> bytes:
-        """The data of raw numbers, for a layout of fixed size; struct.error as in struct."""
-        return self._struct.pack(*raw)
-
     def implausible(self, values: Sequence) -> str:
         """Why one of these values is outside its limits; '' if none is."""
-        for index, minimum, maximum in self._limited:
+        for index, low, high, takes_nan in self._limited:
             given = values[index]
-            if isinstance(given, tuple) or not minimum <= given <= maximum:
-                reason = self.values[index].why_implausible(given, minimum, maximum)
+            if isinstance(given, tuple) or not low <= given <= high:
+                reason = self.values[index].why_implausible(given, low, high, takes_nan)
                 if reason:
                     return reason
         return ''
@@ -266,35 +251,29 @@ class Layout:
                         for given, value in zip(values, self.values) if value.name)
 
 
-def _split(layout: str) -> Tuple[str, str]:
-    """Split off the code of a last value that extends to the end of the data; '' if none does."""
+def places_of(layout: str, longest: float = inf) -> Tuple[str, str, List[Tuple[str, int, int]]]:
+    """The format without what extends to the end of the data; the code of that, or ''; and the
+    code, start and end of each value: see `Value`.
+
+    Raises:
+        ValueError: it is invalid, or has over `longest` bytes: a few characters can describe more
+            values than memory holds.
+    """
     if layout[:1] not in ('<', '>'):
         raise ValueError('it does not begin with < or >')
     fixed, rest = layout.replace(' ', ''), ''
     if fixed.endswith('*'):
         fixed, rest = fixed[:-2], fixed[-2:-1]
-        if rest not in tuple(NUMBERS):
-            raise ValueError(f'a * repeats one of {NUMBERS}')
     elif fixed.endswith('s') and not fixed[-2:-1].isdigit():
         fixed, rest = fixed[:-1], 's'
-    if fixed[-1:].isdigit():
-        raise ValueError('a last * or s that extends to the end of the data has no number before '
-                         'it')
-    return fixed, rest
-
-
-def _size(fixed: str) -> int:
     try:
-        return struct.calcsize(fixed)
+        size = struct.calcsize(fixed)
     except struct.error as error:
         raise ValueError(f'struct refuses it: {error}') from None
-
-
-def _places(fixed: str, rest: str) -> List[Tuple[str, int, int]]:
-    """The code, start and end of each value; see `Value`."""
-    size = _size(fixed)
+    if size > longest:
+        raise ValueError(f'it has {size} bytes, there may be {longest}')
     places, at = [], 0
-    for number, code in re.findall(r'(\d*)(.)', fixed[1:]):
+    for number, code in re.findall(r'(\d*)(\S)', fixed[1:]):
         count, each = int(number or 1), struct.calcsize(fixed[0] + code)
         if code == 's':
             places.append((code, at, at + count))
@@ -304,14 +283,9 @@ def _places(fixed: str, rest: str) -> List[Tuple[str, int, int]]:
         elif code != 'x':
             raise ValueError(f'{code} holds no number or text')
         at += count * each
-    return places + [(rest, size, -1)] * bool(rest)
-
-
-def count_values(layout: str, longest: int) -> Optional[int]:
-    """How many values a format has; None: it has over `longest` bytes of data, and a few characters
-    can describe more values than memory holds. ValueError: it is invalid."""
-    fixed, rest = _split(layout)
-    return None if _size(fixed) > longest else len(_places(fixed, rest))
+    if rest not in ('', 's', *NUMBERS):
+        raise ValueError(f'a * repeats one of {NUMBERS}')
+    return fixed, rest, places + [(rest, size, -1)] * bool(rest)
 
 
 def words(given: Any, unit: str) -> str:
@@ -331,15 +305,12 @@ def words(given: Any, unit: str) -> str:
 
 def brief(given: Any, most: int) -> str:
     """`repr` of a value, cut to `most` characters."""
-    try:
-        words = repr(given)
-    except ValueError:      # Python prints no integer of over 4300 digits
-        words = f'{type(given).__name__} with too many digits'
+    words = repr(given)
     return words if len(words) <= most else words[:most - 1] + '…'
 
 
 def shortest(number: float) -> float:
-    """The decimal number with the fewest digits that is the same float32 as this number."""
+    """The decimal number with the fewest digits that is the same float32."""
     wanted = struct.pack('<f', number)
     number, = struct.unpack('<f', wanted)
     return next((short for short in (float(f'{number:.{digits}g}') for digits in (6, 7, 8))
@@ -350,11 +321,8 @@ EMPTY = Layout('<', ())
 
 
 class LayoutMessage(tuple):
-    """Base of the messages that a layout describes: a message is a tuple of its values.
-
-    `framing` explains the members. The classes that `message_class` does not make also derive from
-    a NamedTuple.
-    """
+    """Base of the messages that a layout describes: a message is a tuple of its values. `framing`
+    explains the members."""
 
     __slots__ = ()
     TYPE: int
@@ -404,19 +372,8 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
 
 
 def by_type(*kinds: Any) -> Dict[int, Any]:
-    """Message classes by their types: `TYPE`, or `TYPES` of a class with several.
-
-    Raises:
-        ValueError: two classes have the same type.
-    """
-    found: Dict[int, Any] = {}
-    for kind in kinds:
-        for type_ in getattr(kind, 'TYPES', None) or (kind.TYPE,):
-            if type_ in found:
-                raise ValueError(f'{found[type_].__name__} and {kind.__name__} have the same type, '
-                                 f'{type_}')
-            found[type_] = kind
-    return found
+    """Message classes by their types: `TYPE`, or `TYPES` of a class with several."""
+    return {type_: kind for kind in kinds for type_ in getattr(kind, 'TYPES', None) or (kind.TYPE,)}
 
 
 def readable(text: str) -> str:

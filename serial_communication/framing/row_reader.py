@@ -4,10 +4,10 @@ Both hold rows by name, with the keys that config/custom_messages.yaml shows.
 """
 import re
 from math import inf, isnan, nan
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tuple
+from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Tuple
 
-from .layout import (BOARD_TIME, EMPTY, FRACTIONS, Layout, Value, count_values, message_class,
-                     shortest)
+from .layout import (BOARD_TIME, EMPTY, FRACTIONS, Layout, Value, message_class, places_of,
+                     readable, shortest)
 from .rows import BOARD, FILE, Kind, Row, RowError, refuse_second_number
 
 # Types from this one on have a meaning of their own on every link: settings, time, announcements.
@@ -17,25 +17,26 @@ _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 _STEP = r'[A-Za-z][A-Za-z0-9_]*(\[[0-9]{1,9}\])?'
 _PATH = re.compile(rf'({_STEP}(\.{_STEP})*)?')
 _HUGE = 1e30        # so that a product of whole numbers fits a float
-_LAYOUT_KEYS = 'layout', 'fields', 'scale', 'offset', 'minimum', 'maximum', 'invalid'
-_TOPIC_KEYS = 'ros_type', 'frame_id', 'child_frame_id', 'constants'
+_SENT_KEYS = 'layout', 'fields', 'scale', 'offset', 'minimum', 'maximum'
+_LAYOUT_KEYS = (*_SENT_KEYS, 'invalid')
+_FRAME_KEYS = 'frame_id', 'child_frame_id'
 _KEYS = {
-    'type': ('type', 'direction', *_TOPIC_KEYS, 'motion', *_LAYOUT_KEYS),
-    'cmd2': ('cmd2', 'srv_type', *_TOPIC_KEYS, 'period', 'request', 'reply', 'timeout',
-             'repeatable', 'interrupts'),
-    'setting': ('setting', 'layout', 'minimum', 'maximum', 'unit', 'description')}
+    Kind.FROM: ('type', 'direction', 'ros_type', *_FRAME_KEYS, 'constants', *_LAYOUT_KEYS),
+    Kind.TO: ('type', 'direction', 'ros_type', *_FRAME_KEYS, 'motion', *_SENT_KEYS)}
+_FUNCTION_KEYS = 'cmd2', 'request', 'reply', 'timeout'
+_SERVICE_KEYS = (*_FUNCTION_KEYS, 'srv_type', 'repeatable', 'interrupts')
+_POLLED_KEYS = (*_FUNCTION_KEYS, 'ros_type', *_FRAME_KEYS, 'constants', 'period')
+_SETTING_KEYS = 'setting', 'layout', 'unit', 'description'
 
 
 def _text(pattern: str = '(?s).*') -> Callable[[Any], bool]:
-    return lambda value: type(value) is str and bool(re.fullmatch(pattern, value))
+    # With a control character it could neither be published nor be set on the parameter server.
+    return lambda value: type(value) is str and value == readable(value) \
+        and bool(re.fullmatch(pattern, value))
 
 
 def _number(low: float, high: float) -> Callable[[Any], bool]:
     return lambda value: type(value) in (int, float) and low <= value <= high
-
-
-def _is_flag(value: Any) -> bool:
-    return type(value) is bool
 
 
 # What the value of a key may be: a test, in words, and the default; None: it is required.
@@ -48,9 +49,11 @@ _CHECKS: Dict[str, Tuple[Callable[[Any], bool], str, Any]] = {
     'period': (_number(0.001, 86400), 'a number from 0.001 to 86400 (s)', None),
     'timeout': (_number(0.01, 600), 'a number from 0.01 to 600 (s)', 0.0),
     **dict.fromkeys(('frame_id', 'child_frame_id', 'unit', 'description'), (_text(), 'text', '')),
-    **dict.fromkeys(('motion', 'repeatable', 'interrupts'), (_is_flag, 'true or false', False)),
+    **dict.fromkeys(('motion', 'repeatable', 'interrupts'),
+                    (lambda value: type(value) is bool, 'true or false', False)),
     'constants': (lambda given: type(given) is dict and all(
-        path and _text(_PATH.pattern)(path) for path in given),
+        path and _text(_PATH.pattern)(path) and (type(value) is not str or _text()(value))
+        for path, value in given.items()),
         'a group with a value for the path of each field, as {present: true}', {})}
 
 
@@ -65,11 +68,7 @@ class Group(NamedTuple):
     make: Callable[..., Any] = Row
 
     def read(self, entries: Any, key: str, origin: str = FILE) -> List[Any]:
-        """The rows of a parameter `key`, as ``arduino/messages``.
-
-        Raises:
-            RowError: a row cannot be used; the first of them is reported.
-        """
+        """The rows of the parameter ``arduino/messages``; RowError for the first mistake."""
         if not isinstance(entries, dict):
             raise RowError(key, entries, 'may be a group of rows, each with a name')
         found: List[Row] = []
@@ -82,10 +81,8 @@ class Group(NamedTuple):
         return found
 
     def _row(self, name: str, given: Any, key: str, origin: str) -> Any:
+        keys = _Keys(key, given)
         number_key = Row('', kind=self.kinds[0]).number_key
-        keys = _Keys(key, given, _KEYS[number_key])
-        if number_key == 'cmd2' and ('srv_type' in given) == ('ros_type' in given):
-            raise RowError(key, None if given else {}, 'has either srv_type or ros_type')
         gaps = [str(each) for each in range(self.numbers[0], self.numbers[-1])
                 if each not in self.numbers]
         number = keys.get(number_key, lambda n: type(n) is int and n in self.numbers,
@@ -103,8 +100,7 @@ def _message(group: Group, keys: '_Keys') -> Dict[str, Any]:
     allowed = [kind.value for kind in group.kinds]
     kind = Kind(keys.get('direction', lambda value: value in allowed, ' or '.join(allowed),
                          Kind.FROM.value))
-    keys.refuse_unused(('motion',) if kind is Kind.FROM else ('constants', 'invalid'),
-                       f'direction: {kind.value}')
+    keys.refuse_others(_KEYS[kind])
     layout = keys.layout(group.longest, kind is Kind.FROM)
     topic = keys.topic()
     motion = keys['motion'] if 'motion' in keys.given else \
@@ -116,9 +112,11 @@ def _message(group: Group, keys: '_Keys') -> Dict[str, Any]:
 
 def _function(group: Group, keys: '_Keys') -> Dict[str, Any]:
     is_polled = 'ros_type' in keys.given
-    keys.refuse_unused(*(('repeatable', 'interrupts'), 'ros_type') if is_polled else
-                       (('period', 'frame_id', 'child_frame_id', 'constants'), 'srv_type'))
-    request, reply = (keys.inner(part, group.longest) for part in ('request', 'reply'))
+    if is_polled == ('srv_type' in keys.given):
+        raise RowError(keys.key, keys.given, 'has either srv_type or ros_type')
+    keys.refuse_others(_POLLED_KEYS if is_polled else _SERVICE_KEYS)
+    request = keys.inner('request', group.longest, _SENT_KEYS)
+    reply = keys.inner('reply', group.longest, _LAYOUT_KEYS)
     if is_polled and any(value.name for value in request.values):
         raise RowError(f'{keys.key}/request/fields', keys.given['request']['fields'], 'may be '
                        'empty texts only: a polled request has no message to take values from')
@@ -131,12 +129,8 @@ def _function(group: Group, keys: '_Keys') -> Dict[str, Any]:
 
 
 def _setting(_group: Group, keys: '_Keys') -> Dict[str, Any]:
-    name = keys.key.rpartition('/')[2]
-    if name == 'groups':     # dynamic_reconfigure has another meaning for it
-        raise RowError(keys.key, name, 'may not be the name of a setting')
     code = keys.get('layout', _text('<[?bBhHiIf]'), '< and one of ? b B h H i I f')[1:]
-    if code == '?':
-        keys.refuse_unused(('minimum', 'maximum'), 'layout: <?')
+    keys.refuse_others((*_SETTING_KEYS, *(('minimum', 'maximum') if code != '?' else ())))
     is_float, (low, high) = code in FRACTIONS, Value('', code=code).range
     minimum, maximum = [(float if is_float else int)(keys.get(
         key, lambda n: _number(low, high)(n) and (is_float or n == int(n)),
@@ -144,7 +138,7 @@ def _setting(_group: Group, keys: '_Keys') -> Dict[str, Any]:
         for key, default in (('minimum', low), ('maximum', high))]
     if minimum > maximum:
         raise keys.error('minimum', f'may be at most the maximum, {maximum:g}')
-    value = Value(name, keys['unit'])
+    value = Value(keys.key.rpartition('/')[2], keys['unit'])
     if is_float:     # NaN and infinity are implausible; what a float32 makes of a limit is allowed
         value = value._replace(minimum=low, maximum=high)
         minimum, maximum = min(minimum, shortest(minimum)), max(maximum, shortest(maximum))
@@ -153,29 +147,27 @@ def _setting(_group: Group, keys: '_Keys') -> Dict[str, Any]:
 
 
 class _Keys:
-    """Reads and checks the keys of one row; every method raises RowError for a wrong value.
+    """Reads and checks the keys `given` of one row, whose own key is as ``arduino/messages/force``;
+    every method raises RowError for a wrong value."""
 
-    Args:
-        key: of the row, as ``arduino/messages/force``.
-        given: its keys with their values.
-        keys: the allowed keys.
-    """
-
-    def __init__(self, key: str, given: Any, keys: Sequence[str]) -> None:
+    def __init__(self, key: str, given: Any) -> None:
         self.key = key
         self.given: Dict[str, Any] = given
         if not isinstance(given, dict):
-            raise RowError(key, given, f'may be a group with the keys {", ".join(keys)}')
-        for unknown in given:
+            raise RowError(key, given, 'may be a group of keys')
+
+    def refuse_others(self, keys: Sequence[str]) -> None:
+        """Refuse keys that such a row does not have."""
+        for unknown in self.given:
             if unknown not in keys:
-                raise self.error(unknown, f'is not a key of a row; {", ".join(keys)}')
+                raise self.error(unknown, f'is not a key of such a row; {", ".join(keys)} are')
 
     def error(self, key: str, allowed: str) -> RowError:
         """That the value of a key is wrong."""
         return RowError(f'{self.key}/{key}', self.given.get(key), allowed)
 
     def get(self, key: str, may_be: Callable[[Any], bool], words: str, default: Any = None) -> Any:
-        """The value of a key; `words` says what it may be. None as the default: it is required."""
+        """The value of a key; without a default it is required."""
         if key not in self.given and default is not None:
             return default
         value = self.given.get(key)
@@ -185,12 +177,6 @@ class _Keys:
 
     def __getitem__(self, key: str) -> Any:
         return self.get(key, *_CHECKS[key])
-
-    def refuse_unused(self, keys: Iterable[str], beside: str) -> None:
-        """Refuse keys that have no meaning beside another one."""
-        for key in keys:
-            if key in self.given:
-                raise self.error(key, f'has no meaning beside {beside}')
 
     def topic(self, type_key: str = 'ros_type') -> Dict[str, Any]:
         """The ROS type, the frames and the constants of the row's messages."""
@@ -206,72 +192,60 @@ class _Keys:
 
     def check_motion(self, layout: Layout) -> None:
         """Refuse a motion that cannot be stopped by a zero of a fixed length."""
-        if not all(value.kind == 'number' for value in layout.values):
-            raise self.error('layout', 'may have numbers and bools alone, of a fixed length: it '
-                             'is a motion (else: motion: false)')
-        for value in layout.values:
-            for key, excludes in ('minimum', value.limits[0] > 0), ('maximum',
-                                                                    value.limits[1] < 0):
-                if excludes:
-                    raise self.error(key, 'has to allow the zero of a motion')
+        zero = [0] * len(layout.values)
         try:
-            layout.pack([0] * len(layout.values))
+            layout.pack(zero)
+            why = layout.implausible(zero)
         except ValueError as error:
-            raise self.error('offset', f'has to allow the zero of a motion: {error}') from None
+            why = str(error)
+        if not all(value.kind == 'number' for value in layout.values):
+            why = 'it may have numbers and bools alone, of a fixed length (else: motion: false)'
+        if why:
+            raise RowError(f'{self.key}/motion', True, f'has to allow the zero of a motion: {why}')
 
-    def inner(self, key: str, longest: int) -> Layout:
+    def inner(self, key: str, longest: int, allowed: Sequence[str]) -> Layout:
         """The layout of the DATE of a request or a reply."""
         if key not in self.given:
             return EMPTY
-        keys = _Keys(f'{self.key}/{key}', self.given[key], _LAYOUT_KEYS)
-        layout = keys.layout(longest)
-        if key == 'request':
-            keys.refuse_unused(['invalid'], 'a request, which is sent to the board')
-        return layout
+        keys = _Keys(f'{self.key}/{key}', self.given[key])
+        keys.refuse_others(allowed)
+        return keys.layout(longest)
 
     def layout(self, longest: int, may_be_timed: bool = False) -> Layout:
-        """The layout by the keys `_LAYOUT_KEYS`, of at most `longest` bytes of data.
-
-        One value may be the board's time, `BOARD_TIME`, if `may_be_timed`.
-        """
-        layout = self['layout']
-        paths = self.given.get('fields')
+        """The layout, of at most `longest` bytes of data; `may_be_timed`: with `BOARD_TIME`."""
+        layout, paths = self['layout'], self.given.get('fields')
         if type(paths) is not list or not all(
                 type(path) is str and (path == BOARD_TIME or _PATH.fullmatch(path))
                 for path in paths):
             raise self.error('fields', 'may be a list with the path of a field for each value, '
                              'as [vector.x, "", position[2]]')
         try:
-            count = count_values(layout, longest)
+            codes = [(code, end) for code, _start, end in places_of(layout, longest)[2]]
         except ValueError as error:
             raise self.error('layout', 'may be a format of Python\'s struct, as <hB: '
                              f'{error}') from None
-        if count is None:
-            raise self.error('layout', f'may have at most {longest} bytes')
+        count = len(codes)
         if len(paths) != count:
             raise self.error('fields', f'may be a list of {count}, one for each value of the '
                              f'layout {layout}')
-        for path in paths:
+        for path, (code, end) in zip(paths, codes):
             if path and paths.count(path) > 1:
                 raise self.error('fields', f'may have {path} once')
-        if BOARD_TIME in paths and not may_be_timed:
-            raise self.error('fields', f'may have {BOARD_TIME} in a message from the board')
+            if path == BOARD_TIME and not (may_be_timed and code == 'I' and end > 0):
+                raise self.error('fields', f'may have {BOARD_TIME} at an I of the layout, in a '
+                                 'message from the board')
         scales = self._each('scale', count, 1, lambda n: _is_number(n) and 0 != abs(n) < _HUGE,
                             'a number but 0')
         offsets = self._each('offset', count, 0, lambda n: _is_number(n) and abs(n) < _HUGE)
         minima, maxima = self._each('minimum', count, -inf), self._each('maximum', count, inf)
-        invalid = self._each('invalid', count, '', lambda n: n == '' or _is_number(n),
-                             'a number, or an empty text for none')
-        values = Layout(layout, [
-            Value(path, 'us') if path == BOARD_TIME else
-            Value(path, '', scale, offset, minimum, maximum) for path, scale, offset, minimum,
-            maximum in zip(paths, scales, offsets, minima, maxima)]).values
-        for value in values:
-            if value.name == BOARD_TIME and (value.code != 'I' or value.kind != 'number'):
-                raise self.error('fields', f'may have {BOARD_TIME} at an I of the layout')
-            if value.minimum > value.maximum:
-                raise self.error('minimum', f'may be at most the maximum, {value.maximum:g}')
-        return Layout(layout, self._with_invalid(values, invalid))
+        for minimum, maximum in zip(minima, maxima):
+            if minimum > maximum:
+                raise self.error('minimum', f'may be at most the maximum, {maximum:g}')
+        return Layout(layout, self._with_invalid([
+            Value(path, 'us', code=code) if path == BOARD_TIME else
+            Value(path, '', scale, offset, minimum, maximum, code=code)
+            for path, (code, _end), scale, offset, minimum, maximum in zip(
+                paths, codes, scales, offsets, minima, maxima)]))
 
     def _each(self, key: str, count: int, default: Any,
               may_be: Callable[[Any], bool] = lambda n: _is_number(n),
@@ -283,19 +257,19 @@ class _Keys:
             raise self.error(key, f'may be {allowed}, or a list of {count}')
         return numbers
 
-    def _with_invalid(self, values: Sequence[Value], invalid: Sequence[Any]) -> List[Value]:
+    def _with_invalid(self, values: List[Value]) -> List[Value]:
         """The values with their raw numbers that mean "no value".
 
         A list has to fit all values; one number for all has to fit one of them.
         """
-        fits = [value.name != BOARD_TIME and number != '' and value.holds(number)
+        invalid = self._each('invalid', len(values), '', lambda n: n == '' or _is_number(n),
+                             'a number, or an empty text for none')
+        fits = [number == '' or value.name != BOARD_TIME and value.holds(number)
                 for value, number in zip(values, invalid)]
-        misfits = [value.code for value, number, fit in zip(values, invalid, fits)
-                   if number != '' and not fit]
-        if misfits and (type(self.given['invalid']) is list or not any(fits)):
+        if not all(fits) and (type(self.given['invalid']) is list or not any(fits)):
             raise self.error('invalid', 'may be a raw number that its place '
-                             f'({misfits[0]}) can hold exactly')
-        return [value._replace(invalid=number) if fit else value
+                             f'({values[fits.index(False)].code}) can hold exactly')
+        return [value._replace(invalid=number) if fit and number != '' else value
                 for value, number, fit in zip(values, invalid, fits)]
 
 

@@ -122,8 +122,7 @@ class Setting(Row):
         """The allowed value that is nearest to 0, in place of one that is not known."""
         return self.checked(min(max(0, self.minimum), self.maximum))
 
-    def allowed(self) -> str:
-        """The allowed values in words."""
+    def _allowed(self) -> str:
         if self.code == '?':
             return 'may be true or false'
         kind = 'number' if self.code in FRACTIONS else 'whole number'
@@ -133,18 +132,14 @@ class Setting(Row):
         return f'may be a {kind}{low}{high} {self.unit}'.rstrip()
 
     def checked(self, value: Any) -> Any:
-        """The value as the board will have it, rounded to what its layout holds.
-
-        Raises:
-            ValueError: it is not allowed; the text says what is.
-        """
+        """The value as the board will have it; ValueError, with what is allowed, if it is not."""
         is_float = self.code in FRACTIONS
         with suppress(struct.error, OverflowError):     # its place cannot hold it
             if type(value) in (bool, int, float) and self.minimum <= (
                     shortest(value) if is_float else value) <= self.maximum:
                 value = self.layout.unpack(self.layout.pack((self.number, value)))[1]
                 return shortest(value) if is_float else value
-        raise ValueError(self.allowed())
+        raise ValueError(self._allowed())
 
 
 def refuse_second_number(row: Row, others: Iterable[Row]) -> None:

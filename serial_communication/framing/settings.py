@@ -21,13 +21,13 @@ class SettingMessage(LayoutMessage, namedtuple('SettingMessage', 'number value')
     __slots__ = ()
     TYPE = TYPE
     LABEL = 'setting'
-    LAYOUT = Layout('<BB*', [Value('number'), Value('value')])
+    LAYOUT_WITHOUT_ROW = Layout('<BB*', [Value('number'), Value('value')])
     ROWS: Dict[int, Setting] = {}     # by number
 
     @classmethod
     def layout_of(cls, data: bytes) -> Layout:
         row = cls.ROWS.get(data[0]) if data else None
-        return row.layout if row else cls.LAYOUT
+        return row.layout if row else cls.LAYOUT_WITHOUT_ROW
 
     @classmethod
     def unpack(cls, data: bytes) -> 'SettingMessage':
@@ -37,18 +37,8 @@ class SettingMessage(LayoutMessage, namedtuple('SettingMessage', 'number value')
         return tuple.__new__(cls, (number, shortest(value) if isinstance(value, float) else value))
 
     @property
-    def _layout(self) -> Layout:
+    def LAYOUT(self) -> Layout:     # type: ignore[override]  # each setting has its own
         return self.layout_of(bytes((self.number,)))
-
-    def pack(self) -> bytes:
-        """The data; ValueError for a value that its place cannot hold."""
-        return self._layout.pack(self)
-
-    def implausible(self) -> str:
-        return self._layout.implausible(self)
-
-    def __str__(self) -> str:
-        return f'{self.LABEL} {self._layout.text(self)}'
 
 
 def message_of(settings: Iterable[Setting]) -> Type[SettingMessage]:

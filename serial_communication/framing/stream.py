@@ -13,7 +13,7 @@ import re
 from bisect import bisect_left
 from collections import deque
 from functools import partial
-from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Protocol, Tuple, Union
+from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple, Union
 
 CHECKSUM = 'checksum'        # a whole frame whose checksum does not match
 FRAMING = 'framing'          # bytes in no frame: noise, a false length, an incomplete frame
@@ -70,48 +70,62 @@ def invalid_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: 
     return frame_of((raw[:MAX_REPORTED], type_, 0, data, None, stamp, cause, error, None, 0))
 
 
-class Decoder(Protocol):
-    """What every decoder has.
+class Decoder:
+    """Base of all decoders.
 
     The frames do not depend on how the bytes were cut into reads. No method raises for any bytes,
     and no buffer grows without bound. Every error is counted once and returned as one frame with
     a cause.
+
+    Args:
+        causes: of the errors that it may find.
     """
 
-    errors: Dict[str, int]     # counts by cause; always has `FRAMING`
-    counts_unknown: bool       # whether a frame of an unknown type counts as an error; at first so
+    needed = 1     # bytes that the incomplete frame has, as far as is known
 
-    @property
-    def pending(self) -> bool:
-        """Whether bytes wait that are in no returned frame."""
+    def __init__(self, *causes: str) -> None:
+        self.errors = dict.fromkeys(causes, 0)     # counts by cause; always has `FRAMING`
+        self.messages: Dict[int, Any] = {}         # classes by type
+        self.received = 0          # bytes, so far
+        self.front = 0             # of them before the incomplete frame; all if there is none
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing was received, or what was is dropped."""
 
     @property
     def begun(self) -> bool:
         """Whether a frame has begun that is not complete."""
+        return self.front < self.received
 
     @property
-    def received(self) -> int:
-        """How many bytes were received so far."""
+    def pending(self) -> bool:
+        """Whether bytes wait that are in no returned frame."""
+        return self.begun
 
-    @property
-    def front(self) -> int:
-        """Where the incomplete frame begins: how many bytes are before it; all if there is none."""
+    def add_message(self, kind: Any) -> None:
+        """Decode custom messages of this class from now on; from any thread."""
+        self.messages = {**self.messages, kind.TYPE: kind}
 
-    @property
-    def needed(self) -> int:
-        """How many bytes that frame has, as far as is known."""
+    def remove_message(self, kind: Any) -> None:
+        """Decode them no longer; from any thread."""
+        self.messages = {type_: each for type_, each in self.messages.items() if each is not kind}
 
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
         """Decode the bytes of one read; return the frames, valid and invalid, now complete."""
+        raise NotImplementedError
 
     def give_up(self) -> List[Frame]:
         """No byte has been received for too long: give up the incomplete frame, and end noise.
 
         To be called until nothing is `pending`.
         """
+        raise NotImplementedError
 
     def reset(self) -> None:
         """Drop what is pending, as after a reconnect; the counts stay."""
+        self.front = self.received
+        self._begin()
 
 
 def running_xor(data: bytes, before: int) -> bytes:
@@ -158,8 +172,8 @@ class Need(NamedTuple):
     size: int            # bytes, from the frame's first on, that are needed to decide more
 
 
-class StreamDecoder:
-    """Base of decoders for frames with a checksum: a `Decoder` that buffers and resynchronises.
+class StreamDecoder(Decoder):
+    """Base of decoders for frames with a checksum: it buffers and resynchronises.
 
     A subclass gives the bytes with which a frame may begin (`STARTS`), and says what begins at
     such a byte (`frame_at`, which reads `buffer` and computes checksums by `xor`).
@@ -170,13 +184,10 @@ class StreamDecoder:
     """
 
     STARTS = b''
-    counts_unknown = True      # see `Decoder`
 
-    def __init__(self) -> None:
-        self.errors: Dict[str, int] = {CHECKSUM: 0, FRAMING: 0}
+    def __init__(self, *causes: str) -> None:
+        super().__init__(CHECKSUM, FRAMING, *causes)
         self._any_start = re.compile(b'[' + re.escape(self.STARTS) + b']')
-        self.front = 0             # bytes of the stream before the buffer
-        self._begin()
 
     def _begin(self) -> None:
         self.buffer = b''          # bytes that are not decided yet
@@ -194,20 +205,13 @@ class StreamDecoder:
     def pending(self) -> bool:
         return bool(self.buffer or self._noise)
 
-    @property
-    def begun(self) -> bool:
-        return bool(self.buffer)
-
-    @property
-    def received(self) -> int:
-        return self.front + len(self.buffer)
-
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
         if not data:
             return []
         if self.buffer:
             self._reads.append((self.received, self._stamp))
         self._stamp = stamp
+        self.received += len(data)
         self.buffer += data
         self._xors += running_xor(data, self._xors[-1])
         return [] if len(self.buffer) < self.needed else self._search(0)
@@ -218,10 +222,6 @@ class StreamDecoder:
         if not self.buffer:
             self._end_noise(0)
         return frames
-
-    def reset(self) -> None:
-        self.front = self.received
-        self._begin()
 
     # -- for subclasses ---------------------------------------------------------------
 
@@ -280,7 +280,7 @@ class StreamDecoder:
         end = start + size
         if cause:
             self.errors[cause] += 1
-        elif message is None and self.counts_unknown:
+        elif message is None:
             self.errors[UNKNOWN] += 1
         stamp, read_end = self._read_of(end)
         self._frames.append(frame_of((
@@ -305,11 +305,9 @@ class StreamDecoder:
         self._noise += self.buffer[first:end]
         self._noise_stamp = self._read_of(end)[0]
         self._classified = self.front + end
-        if len(self._noise) >= MAX_REPORTED:
-            whole = len(self._noise) // MAX_REPORTED * MAX_REPORTED
-            for at in range(0, whole, MAX_REPORTED):
-                self._return_noise(self._noise[at:at + MAX_REPORTED])
-            self._noise = self._noise[whole:]
+        while len(self._noise) >= MAX_REPORTED:
+            self._return_noise(self._noise[:MAX_REPORTED])
+            self._noise = self._noise[MAX_REPORTED:]
 
     def _end_noise(self, end: int) -> None:
         """End the noise at `end`."""

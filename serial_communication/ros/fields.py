@@ -4,17 +4,16 @@ Creating a `RosFields` checks the paths completely.
 """
 import os
 import re
-import struct
 import sys
-from math import isfinite, isinf, isqrt
-from typing import (Any, Callable, Dict, Iterable, Iterator, List, NamedTuple, Optional, Sequence,
-                    Tuple, Union)
+from contextlib import suppress
+from io import BytesIO
+from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple,
+                    Union)
 
 import roslib.message
 from genpy import SerializationError
-from genpy.message import check_type
 
-from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
+from ..framing.layout import BOARD_TIME, FINITE, FRACTIONS, NO_VALUE, Layout, Value
 from ..framing.rotation import angles, quaternion
 from ..framing.rows import RowError
 
@@ -24,35 +23,30 @@ _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int
 _MOST_ELEMENTS = 1000     # of an array whose elements are named singly, such as position[2]
 _QUATERNION = 'geometry_msgs/Quaternion'
 _ANGLES = 'roll', 'pitch', 'yaw'     # further fields of a quaternion, in radians
-_ANGLE = 'angle'     # in place of a code: any number but infinity
 _STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
 
 
 def find_type(key: str, name: str, kind: str = 'msg') -> Any:
     """Return the class of an installed message (``kind`` 'msg') or service ('srv') type.
 
+    Only a generated module is imported: a board may announce any name, and importing any other
+    module might do anything.
+
     Raises:
         RowError: the type is not installed.
     """
-    found = _found(name, kind)
-    if found is not None:
-        return found
-    raise RowError(key, name, 'is not an installed type: is its package installed, and the '
-                   'workspace of that package sourced?')
-
-
-def _found(name: str, kind: str) -> Any:
-    """Return the class of a type, or None. Only a generated module is imported: a board may
-    announce any name, and importing any other module might do anything."""
     package, short = name.split('/')
-    if not any(os.path.exists(os.path.join(folder, package, kind, f'_{short}.py'))
-               for folder in sys.path):
-        return None
-    find = roslib.message.get_message_class if kind == 'msg' else roslib.message.get_service_class
-    try:
-        return find(name)
-    except (Exception, SystemExit):  # pylint: disable=broad-except
-        return None     # the module of that name may be anything
+    found = None
+    if any(os.path.exists(os.path.join(folder, package, kind, f'_{short}.py'))
+           for folder in sys.path):
+        find = roslib.message.get_message_class if kind == 'msg' else \
+            roslib.message.get_service_class
+        with suppress(Exception, SystemExit):     # the module of that name may be anything
+            found = find(name)
+    if found is None:
+        raise RowError(key, name, 'is not an installed type: is its package installed, and the '
+                       'workspace of that package sourced?')
+    return found
 
 
 class _Place(NamedTuple):
@@ -67,8 +61,17 @@ class _Place(NamedTuple):
 
     @property
     def code(self) -> str:
-        """Struct's code of its number; '' for a string."""
-        return _ANGLE if self.is_angle else _CODES.get(self.type, '')
+        """Struct's code of its number, or `FINITE`; '' for a text."""
+        return FINITE if self.is_angle or self.type == 'bool' else _CODES.get(self.type, '')
+
+    def whole(self, given: Any) -> Any:
+        """A constant for it; of a list that is the diagonal of a matrix, the matrix."""
+        size = int(self.array[1:-1] or 0) if self.array else 0
+        if not isinstance(given, list) or len(given) ** 2 != size:
+            return given
+        matrix = [0.0] * size
+        matrix[::len(given) + 1] = given
+        return matrix
 
     def put(self, message: Any, value: Any) -> None:
         """Write a value into the message."""
@@ -99,18 +102,21 @@ class RosFields:
                  constants: Optional[Dict[str, Any]] = None, constants_key: str = '') -> None:
         self._class = message_class
         self._arrays: List[Tuple[Tuple, int, Any]] = []    # path, length and element in a message
+        self._constants: List[Tuple[_Place, Any]] = []
         if any(value.name == BOARD_TIME for value in layout.values) \
                 and not message_class._has_header:
             raise RowError(key, BOARD_TIME, f'needs a type with a header, {message_class._type} '
                            'has none')
         self._places = [None if value.name in ('', BOARD_TIME) else self._place(key, value)
                         for value in layout.values]
-        taken: Dict[Tuple, str] = {}
-        for value, place in zip(layout.values, self._places):
-            if place:
-                _take(taken, key, value.name, place)
-        self._constants = [each for path, given in (constants or {}).items()
-                           for each in self._constant(constants_key, path, given, taken)]
+        for path, given in (constants or {}).items():
+            constant = self._follow(constants_key, path)
+            self._constants.append((constant, constant.whole(given)))
+            try:
+                self.new().serialize(BytesIO())
+            except (SerializationError, AttributeError, OverflowError, ValueError) as error:
+                raise RowError(f'{constants_key}/{path}', given,
+                               f'cannot be there: {error}') from None
         # By the path to a quaternion: the indices of the values that are its angles.
         self._angles: Dict[Tuple, Dict[Union[str, int], int]] = {}
         for index, place in enumerate(self._places):
@@ -119,13 +125,11 @@ class RosFields:
         # The values that may be "no value", in fields that cannot be NaN.
         self.without_nan = [
             index for index, (value, place) in enumerate(zip(layout.values, self._places))
-            if place and value.invalid is not None and place.code not in (*FRACTIONS, _ANGLE)]
-
-    def narrowed(self, layout: Layout) -> Layout:
-        """Return the layout; there, a value that its field cannot hold is implausible."""
-        codes = ['' if not place or _holds_all(place.code, value) else place.code
-                 for value, place in zip(layout.values, self._places)]
-        return _NarrowedLayout(layout, codes) if any(codes) else layout
+            if place and value.invalid is not None
+            and place.code not in FRACTIONS and not place.is_angle]
+        # The layout; there, a value that its field cannot hold is implausible.
+        self.layout = Layout(layout.layout, layout.values,
+                             ['' if place is None else place.code for place in self._places])
 
     def new(self) -> Any:
         """Return a message that has the constants, and arrays long enough for all values."""
@@ -136,7 +140,7 @@ class RosFields:
             items += [element() for _ in range(size - len(items))]
             setattr(owner, steps[-1], items)
         for place, value in self._constants:
-            place.put(message, value)
+            place.put(message, list(value) if isinstance(value, list) else value)
         return message
 
     def lacks(self, values: Sequence) -> bool:
@@ -177,17 +181,13 @@ class RosFields:
 
     def _place(self, key: str, value: Value) -> _Place:
         """Return the place of a value; raise RowError if there is none that can hold it."""
-        place, path, has, why = self._follow(key, value.name), value.name, value.kind, ''
-        if has == 'text' and (place.type != 'string' or place.array):
-            why = '; a text needs a string'
-        elif has != 'text' and place.type not in _CODES:
-            why = ', which cannot hold a number'
-        elif has == 'array' and place.array != '[]':
-            why = '; the * in the layout needs an array of any length'
-        elif has == 'number' and place.array:
-            why = f'; a single number needs one element, such as {path}[0]'
-        if why:
-            raise RowError(key, path, f'is {place.type}{place.array}{why}')
+        place, has = self._follow(key, value.name), value.kind
+        fits = {'text': place.type == 'string' and not place.array,
+                'array': place.type in _CODES and place.array == '[]',
+                'number': place.type in _CODES and not place.array}
+        if not fits[has]:
+            raise RowError(key, value.name,
+                           f'is {place.type}{place.array}, which cannot hold the {has} there')
         convert: Optional[Callable[[Any], Any]] = None
         if place.type == 'bool':
             convert = bool
@@ -200,14 +200,13 @@ class RosFields:
         message_class, type_, array, is_angle = self._class, '', '', False
         steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
-            if message_class is None:
-                raise RowError(key, path, f'must end at {steps[-1]}, a {type_} without fields')
-            fields = dict(zip(message_class.__slots__, message_class._slot_types))
-            if message_class._type == _QUATERNION:
+            fields = dict(zip(message_class.__slots__, message_class._slot_types)) \
+                if message_class else {}
+            if fields and message_class._type == _QUATERNION:
                 fields.update(dict.fromkeys(_ANGLES, 'float64'))
             if name not in fields:
-                raise RowError(key, path, f'{message_class._type} has no field {name}; it has '
-                               + ', '.join(fields))
+                raise RowError(key, path, f'has no field {name} there, but '
+                               f'{", ".join(fields) or f"a single {type_}"}')
             is_angle = name not in message_class.__slots__
             type_, bracket, size = fields[name].partition('[')
             array = bracket + size
@@ -225,84 +224,6 @@ class RosFields:
                 steps += (int(element),)
                 array = ''
         return _Place(steps[:-1], steps[-1], type_, array, is_angle)
-
-    def _constant(self, key: str, path: str, given: Any,
-                  taken: Dict[Tuple, str]) -> Iterator[Tuple[_Place, Any]]:
-        """Yield the places of a constant, which may be a list, and their values."""
-        single = {path: given}
-        if isinstance(given, list):
-            place = self._follow(key, path)
-            size, every = int(place.array[1:-1] or len(given)) if place.array else 0, 1
-            if len(given) != size:
-                every = isqrt(size) + 1      # from one element of the diagonal to the next
-                if not given or len(given) != every - 1 or len(given) ** 2 != size:
-                    raise RowError(f'{key}/{path}', given, f'may be a list of {size}, or of the '
-                                   f'diagonal of a matrix: {path} is {place.type}{place.array}'
-                                   if size else f'may be one value: {path} is no array')
-            single = {f'{path}[{index * every}]': value for index, value in enumerate(given)}
-        for name, value in single.items():
-            place = self._follow(key, name)
-            _take(taken, key, name, place)
-            try:
-                if place.is_angle or name == 'header.frame_id':
-                    raise ValueError('a key, or the fields, set it')
-                if (place.type == 'bool') != (type(value) is bool):
-                    raise ValueError(f'{name} is {place.type}')
-                check_type(name, place.type + place.array, value)
-                if place.code:
-                    struct.pack('<' + place.code, value)
-            except (SerializationError, ValueError, OverflowError, struct.error) as error:
-                raise RowError(f'{key}/{name}', value, f'cannot be there: {error}') from None
-            yield place, value
-
-
-def _take(taken: Dict[Tuple, str], key: str, path: str, place: _Place) -> None:
-    """Raise RowError if a value would overwrite another, as position does with position[0]."""
-    steps = place.owner if place.is_angle else (*place.owner, place.last)
-    for other, its_path in taken.items():
-        shorter = min(len(steps), len(other))
-        are_angles = place.is_angle and its_path.rpartition('.')[2] in _ANGLES
-        if steps[:shorter] == other[:shorter] and not (are_angles and steps == other):
-            raise RowError(key, path, f'overlaps with {its_path}')
-    taken[steps] = path
-
-
-class _NarrowedLayout(Layout):
-    """A layout whose values must also fit the fields of a ROS message.
-
-    Args:
-        codes: struct's code of each value's field; '' if the field can hold every value.
-    """
-
-    def __init__(self, layout: Layout, codes: List[str]) -> None:
-        super().__init__(layout.layout, layout.values)
-        self._codes = codes
-
-    def implausible(self, values: Sequence) -> str:
-        return super().implausible(values) or next(
-            (f'{value.name} is {number:.6g}, which its ROS field cannot hold'
-             for given, value, code in zip(values, self.values, self._codes) if code
-             for number in (given if isinstance(given, tuple) else (given,))
-             if number is not NO_VALUE and not _holds(code, number)), '')
-
-
-def _holds_all(code: str, value: Value) -> bool:
-    """Return whether a field with struct's `code` ('' for a string) can hold every value."""
-    return code in ('', 'd') or code != _ANGLE and (
-        code == 'f' or value.code not in FRACTIONS) and all(
-            isfinite(end) and _holds(code, end) for end in value.range)
-
-
-def _holds(code: str, number: float) -> bool:
-    """Return whether a field with struct's `code`, or an angle, can hold a number, rounded for
-    integers."""
-    if code == _ANGLE:
-        return not isinf(number)
-    try:
-        struct.pack('<' + code, number if code in FRACTIONS else round(number))
-    except (struct.error, OverflowError, ValueError):
-        return False
-    return True
 
 
 def _walk(message: Any, steps: Sequence) -> Any:

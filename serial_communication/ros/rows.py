@@ -65,12 +65,10 @@ def resolve(board: Description, row: Row) -> RosRow:
     layout, paths = (row.reply, 'reply/fields') if row.kind is Kind.FUNCTION else \
         (row.layout, 'fields')
     fields = RosFields(found, layout, f'{key}/{paths}', row.constants, f'{key}/constants')
-    narrowed = fields.narrowed(layout)
     if row.kind is Kind.FUNCTION:
-        row = replace(row, reply=narrowed)
-    elif row.kind is Kind.FROM and narrowed is not layout:
-        row = replace(row, layout=narrowed, message=type(row.name, (row.message,), {
-            '__slots__': (), 'LAYOUT': narrowed}))
+        row = replace(row, reply=fields.layout)
+    elif row.kind is Kind.FROM and row.key:
+        row.message.LAYOUT = fields.layout     # the class is of this row alone
     return RosRow(row, name, found, fields)
 
 
@@ -82,7 +80,7 @@ def _service(row: Row, name: str) -> RosRow:
     for value in map(row.reply.values.__getitem__, reply.without_nan):
         raise RowError(f'{key}/reply/invalid', value.invalid, f'needs a float field, but '
                        f'{value.name} is none, and a response cannot be left out')
-    made = RosRow(replace(row, reply=reply.narrowed(row.reply)), name, found, reply, request)
+    made = RosRow(replace(row, reply=reply.layout), name, found, reply, request)
     if row.interrupts:
         try:
             made.stop_request()
@@ -100,5 +98,3 @@ def _check_frame_ids(row: Row, found: Any) -> None:
     if row.child_frame_id and 'child_frame_id' not in found.__slots__:
         raise RowError(f'{row.key}/child_frame_id', row.child_frame_id,
                        f'needs a type with child_frame_id, as {ODOMETRY}; {found._type} has none')
-    if row.child_frame_id and 'child_frame_id' in row.constants:
-        raise RowError(f'{row.key}/constants', 'child_frame_id', 'is a key of the row, too')

@@ -178,4 +178,4 @@ def _number(value: Value, index: int, now: float) -> float:
 
 
 def _text(value: Value, now: float) -> str:
-    return f'simulated {now:.0f}'[:value.room]
+    return f'simulated {now:.0f}'[:value.end - value.start if value.end > 0 else None]

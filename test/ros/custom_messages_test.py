@@ -223,7 +223,7 @@ class FromTheSensors(unittest.TestCase):
         frames = Topic('/serial_msg', SerialMsg)
         self.addCleanup(frames.close)
         for data, error in ((b'\1\0\0', 'length: cliff frame with 3 bytes of data where 2 is'),
-                            (struct.pack('<H', 2001), 'implausible: cliff: range is 2.001, abo'),
+                            (struct.pack('<H', 2001), 'implausible: cliff: range is 2.001, out'),
                             (struct.pack('<H', 2000), '')):
             frames.first(lambda m, e=error: m.type == 0x20 and m.error.startswith(e),
                          doing=lambda d=data: SENSORS.write(mcu.encode_raw(
@@ -280,7 +280,7 @@ class Functions(unittest.TestCase):
         before = len(self.asked(0x35))
         answer = self.once('gentle', Lift, 1, 10)
         self.assertEqual((answer.success, answer.status), (False, NOT_SENT))
-        self.assertIn('distance is 10, above the maximum of 9', answer.message)
+        self.assertIn('distance is 10, out of range (-inf … 9', answer.message)
         self.assertEqual(len(self.asked(0x35)), before)
 
     def test_without_success_a_failure_is_a_service_error(self):
@@ -365,18 +365,15 @@ class Mistakes(unittest.TestCase):
     def test_constants_that_the_type_cannot_hold_are_refused(self):
         battery = dict(FORCE, ros_type='sensor_msgs/BatteryState', fields=['voltage'])
         for constants, key in (
-                ({'presnt': True}, ''), ({'present': 1}, '/present'), ({'charge': True}, '/charge'),
-                ({'charge': 'full'}, '/charge'), ({'charge': 1e39}, '/charge'),
+                ({'presnt': True}, ''), ({'charge': 'full'}, '/charge'),
+                ({'charge': 1e39}, '/charge'),
                 ({'power_supply_status': 256}, '/power_supply_status'),
                 ({'power_supply_status': 0.5}, '/power_supply_status'),
                 ({'location': 5}, '/location'),
                 ({'cell_voltage': 3.7}, '/cell_voltage'), ({'header.stamp': 0}, '/header.stamp'),
-                ({'header.frame_id': 'base'}, '/header.frame_id'), ({'voltage': 12.0}, '')):
+                ({'orientation.yaw': 1.0}, '')):
             self.assert_mistake('arduino/messages', 'pack', dict(battery, constants=constants),
                                 '/constants' + key)
-        self.assert_mistake('arduino/messages', 'pack', dict(
-            battery, layout='<h*', fields=['cell_voltage'], constants={'cell_voltage[1]': 3.7}),
-            '/constants')
         check({'arduino': {'messages': {'pack': dict(battery, constants={
             'charge': float('nan'), 'cell_voltage[1]': 4, 'power_supply_status': 255})}}}, '/node')
 

@@ -13,7 +13,7 @@ from collections import namedtuple
 from math import pi
 from typing import Any, Dict, Iterable, List, Tuple, Type
 
-from ...framing import announcement, cobs
+from ...framing import announcement, cobs, stream
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type, message_class,
                                readable)
 from ...framing.settings import SettingMessage
@@ -157,7 +157,7 @@ class Imu(LayoutMessage, namedtuple(
 
     def pack(self) -> bytes:
         """The 22 bytes; struct.error if a number does not fit an int16."""
-        return self.LAYOUT.pack_raw(self)
+        return struct.pack(self.LAYOUT.layout, *self)
 
     def orientation(self) -> Quaternion:
         """x, y, z, w."""
@@ -223,7 +223,7 @@ def encode_raw(type_: int, data: bytes) -> bytes:
     return cobs.encode(bytes((type_,)) + data) + b'\0'
 
 
-class _Decoder:
+class _Decoder(stream.Decoder):
     """Decodes packets that end with 0x00. After an invalid packet, the next begins after its 0x00.
 
     If that 0x00 is lost or changed, two packets become one invalid packet. This framing cannot
@@ -234,47 +234,23 @@ class _Decoder:
         messages: classes of custom messages: see `message_class`. Their limits are always checked.
     """
 
-    counts_unknown = True      # see `framing.stream.Decoder`
     needed = _MAX_ENCODED      # bytes of the longest packet: no packet says how long it is
-    messages: Dict[int, Any] = {}
+    MESSAGES: Dict[int, Any] = {}
 
     def __init__(self, check_plausibility: bool = True,
                  messages: Iterable[Type[LayoutMessage]] = ()) -> None:
-        self.errors = dict.fromkeys((FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE), 0)
+        super().__init__(FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE)
         # A count over 16 in TIME would give its time to packets of later measurements, and a
         # setting that is NaN is never equal to what is wanted.
         self._unchecked = frozenset(
-            () if check_plausibility else self.messages.keys() - {Time.TYPE, SettingMessage.TYPE})
-        self.messages = dict(self.messages)
-        self.messages.update((message.TYPE, message) for message in messages)
-        self.received = 0     # bytes
-        self.reset()
-
-    def add_message(self, kind: Type[LayoutMessage]) -> None:
-        """Decode custom messages of this class from now on; from any thread."""
-        self.messages = {**self.messages, kind.TYPE: kind}
-
-    def remove_message(self, kind: Type[LayoutMessage]) -> None:
-        """Decode them no longer; from any thread."""
-        self.messages = {type_: each for type_, each in self.messages.items() if each is not kind}
+            () if check_plausibility else self.MESSAGES.keys() - {Time.TYPE, SettingMessage.TYPE})
+        self.messages = {**self.MESSAGES, **by_type(*messages)}
 
     @property
     def pending(self) -> bool:
-        """Whether there is an incomplete packet."""
-        return bool(self._begun) or self._dropping
+        return self.begun or self._dropping
 
-    @property
-    def begun(self) -> bool:
-        """The same: every byte belongs to a packet, so there is no noise between packets."""
-        return self.pending
-
-    @property
-    def front(self) -> int:
-        """Where the incomplete packet begins: how many bytes are before it."""
-        return self.received - len(self._begun)
-
-    def reset(self) -> None:
-        """Forget the incomplete packet, as after a reconnect; the counts stay."""
+    def _begin(self) -> None:
         self._begun = b''
         self._dropping = False     # the packet is too long already: drop the rest of it
         self._stamp: Any = None    # of the read with the packet's latest byte
@@ -282,8 +258,6 @@ class _Decoder:
         self._timed = 0            # how many of the next packets it is for
 
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
-        """Decode bytes as they were read; return the packets that are now complete, invalid ones
-        included."""
         frames: List[Frame] = []
         self.received += len(data)
         data = self._begun + data
@@ -303,10 +277,10 @@ class _Decoder:
                 self._oversize(self._begun, frames, stamp)
                 self._dropping = True
             self._begun = b''
+        self.front = self.received - len(self._begun)
         return frames
 
     def give_up(self) -> List[Frame]:
-        """Return the incomplete packet as invalid, and drop it."""
         frames: List[Frame] = []
         if self._begun:
             self.errors[FRAMING] += 1
@@ -353,7 +327,7 @@ class _Decoder:
 
     def _bad(self, raw: bytes, cause: str, error: str, stamp: Any, type_: int = 0,
              data: bytes = b'') -> Frame:
-        self.errors[cause] += cause != UNKNOWN or self.counts_unknown
+        self.errors[cause] += 1
         self._timed = 0      # the packet may have been one of those that TIME counts
         return invalid_frame(raw, cause, error, stamp, type_, data)
 
@@ -361,10 +335,10 @@ class _Decoder:
 class Decoder(_Decoder):
     """Decodes what the board sends."""
 
-    messages = by_type(*FROM_BOARD, Log, Time, SettingMessage, announcement.Chunk)
+    MESSAGES = by_type(*FROM_BOARD, Log, Time, SettingMessage, announcement.Chunk)
 
 
 class BoardDecoder(_Decoder):
     """Decodes what is sent to the board; for simulated boards and for displays."""
 
-    messages = by_type(*TO_BOARD, SettingMessage)
+    MESSAGES = by_type(*TO_BOARD, SettingMessage)

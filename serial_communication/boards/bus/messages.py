@@ -1,4 +1,5 @@
 """The messages of robot-ctrl-bus, and the functions that requests call; wire.py has the frames."""
+import struct
 from dataclasses import dataclass
 from typing import NamedTuple, Sequence, Tuple
 
@@ -117,8 +118,8 @@ class Environment(_EnvironmentValues):
 
     def pack(self) -> bytes:
         """The six DATE bytes."""
-        return self.LAYOUT.pack_raw((self.smoke, round(self.temperature * 100),
-                                     round(self.humidity * 100)))
+        return struct.pack(self.LAYOUT.layout, self.smoke, round(self.temperature * 100),
+                           round(self.humidity * 100))
 
     def __str__(self) -> str:
         return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'

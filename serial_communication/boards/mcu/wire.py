@@ -11,7 +11,7 @@ a frame, modulo 256. Little-endian. Only the board sends, except for settings.
 import struct
 from collections import namedtuple
 from math import isnan, nan
-from typing import Dict, Iterable, Optional, Type, Union
+from typing import Iterable, Optional, Type, Union
 
 from ...framing.announcement import Chunk
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type,
@@ -62,7 +62,7 @@ class SensorStatus(LayoutMessage, namedtuple(
         wrapped = [0, ANGLE_UNKNOWN, ANGLE_UNKNOWN] if not self.angles_known else [
             (round(angle * 100) + 0x8000) % 0x10000 - 0x8000
             for angle in (self.yaw, self.pitch, self.roll)]
-        return self.LAYOUT.pack_raw((self.range_1, self.range_2, *wrapped))
+        return struct.pack(self.LAYOUT.layout, self.range_1, self.range_2, *wrapped)
 
     @property
     def angles_known(self) -> bool:
@@ -117,22 +117,13 @@ class Decoder(StreamDecoder):
     STARTS = bytes((STX,))
 
     def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
-        super().__init__()
-        self.errors.update({UNKNOWN: 0, LENGTH: 0, IMPLAUSIBLE: 0})
-        self.messages: Dict[int, Type[LayoutMessage]] = {**BUILT_IN, **by_type(*messages)}
+        super().__init__(UNKNOWN, LENGTH, IMPLAUSIBLE)
+        self.messages = {**BUILT_IN, **by_type(*messages)}
 
     def _begin(self) -> None:
         super()._begin()
         self._ticks: Optional[int] = None    # of a TIME that was the latest frame
         self._timed_seq = -1                 # the SEQ of the frame that it is for
-
-    def add_message(self, kind: Type[LayoutMessage]) -> None:
-        """Decode custom messages of this class from now on; from any thread."""
-        self.messages = {**self.messages, kind.TYPE: kind}
-
-    def remove_message(self, kind: Type[LayoutMessage]) -> None:
-        """Decode them no longer; from any thread."""
-        self.messages = {type_: each for type_, each in self.messages.items() if each is not kind}
 
     def frame_at(self, at: int) -> Union[Good, Bad, Need]:
         buffer = self.buffer

@@ -250,6 +250,7 @@ class _Parts:
                 self.found[-1] = self.found[-1]._replace(
                     raw=raw, value=given, unit=value.unit,
                     meaning=words.get(raw, NOT_KNOWN) if words else 'no value' * (given != given),
-                    error=value.why_implausible(given, *value.limits))
+                    error=value.why_implausible(given, *value.limits)
+                    if value.is_limited else '')
         self.take_rest('padding', end=begin + layout.size)
         self.take_rest('surplus', f'{len(data)} bytes of data, not {layout.sizes()}')

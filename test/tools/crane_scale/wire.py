@@ -25,9 +25,8 @@ class Decoder(StreamDecoder):
     STARTS = b':'
 
     def __init__(self, messages: Iterable = ()) -> None:
-        super().__init__()
-        self.errors[UNKNOWN] = 0
-        self._messages = {kind.TYPE: kind for kind in (Load, Hold, *messages)}
+        super().__init__(UNKNOWN)
+        self.messages = {kind.TYPE: kind for kind in (Load, Hold, *messages)}
 
     def frame_at(self, at: int):
         end = self.buffer.find(b'\n', at, at + 40)
@@ -43,6 +42,6 @@ class Decoder(StreamDecoder):
         size = end + 1 - at
         if running_xor(body, 0)[-1]:
             return Bad(size, CHECKSUM, 'the checksum does not match')
-        kind, data = self._messages.get(body[0]), body[2:-1]
+        kind, data = self.messages.get(body[0]), body[2:-1]
         message = kind.unpack(data) if kind and kind.LAYOUT.fits(len(data)) else None
         return Good(size, body[0], body[1], data, message)
