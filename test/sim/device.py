@@ -218,7 +218,7 @@ class Device:
 
     def block(self, seconds: float) -> None:
         """The far end takes nothing for so long."""
-        self._blocked_until = max(self._blocked_until, self._world.time + seconds)
+        self._blocked_until = max(self._blocked_until, self._world.clock() + seconds)
 
     def reset_connection(self) -> None:
         """The peer resets the connection."""

@@ -33,7 +33,7 @@ class Evidence:
         end = story.world.time if story.ended is None else story.ended
         self.openings: List[Interval] = []
         closings = iter(device.closings)
-        # A port that is lent, and a connection in doubt, are given up; the link's thread closes them.
+        # A port that is lent, and a connection in doubt, are given up: the thread closes them.
         given_up = [asked for asked, _, name, task in story.tasks
                     if name == 'lend' and task.answer[0]]
         given_up += device.flushes if device.kind == 'network' else []

@@ -111,7 +111,9 @@ def moves_are_not_late(e: Evidence) -> Verdicts:
             continue
         for frame in sent:
             if (frame.number, frame.data) == called.request[1:]:
-                yield 1, '' if frame.time <= called.time + 5.0 + called.longest else \
+                # It may be suspended inside the write.
+                yield 1, '' if frame.time <= called.time + 5.0 + called.longest or any(
+                    abs(frame.time - end) < 1e-6 for _, end in e.suspended) else \
                     f'{called.name} of {called.time:.3f} was sent at {frame.time:.3f}'
 
 
@@ -251,7 +253,8 @@ def polls_go_on(e: Evidence) -> Verdicts:
     period, sent = e.story.parameters['environment_period'], [each.time for each in _polls(e)]
     busy = [(called.time, called.ended or float('inf')) for called in e.story.calls] + [
         (frame.time, frame.time + 0.6) for frame in e.wrote if frame.number == HALT]
-    faults = [(event.begin, event.end) for event in e.story.events if event.name != 'stop']
+    faults = [(event.begin, event.end) for event in e.story.events if event.name != 'stop'] + [
+        (asked, until) for asked, until, _, _ in e.story.tasks]
     noisy = any(e.story.device.damage_sent) or any(e.story.device.damage_received)
     answers = [frame.time for frame in e.of_type(e.read, OK) if len(frame.data) == 6]
     for before, at in zip(sent, [*sent[1:], float('inf')]):
@@ -277,8 +280,9 @@ def polls_do_not_pile_up(e: Evidence) -> Verdicts:
     begins = [each for before, each in zip(sent, sent[1:])
               if any(before.time < answer <= each.time for answer in answers)]
     for first, last in zip(begins, begins[2:]):
+        # After a stall one is late.
         excused = e.opening_of(first.time) != e.opening_of(last.time) or overlaps(
-            calls, first.time, last.time)
+            calls + e.stalls[0], first.time, last.time, period)
         yield not excused, '' if excused or last.time - first.time >= period - SLACK else \
             f'3 polls from {first.time:.3f} to {last.time:.3f}, the period is {period}'
 
@@ -376,8 +380,8 @@ def refused_calls_are_repeated(e: Evidence) -> Verdicts:
             halts + faults + e.stalls[0], refusal.time - 0.6, min(limit, refusal.time + 5.0), 0.6) \
             or e.opening_of(refusal.time)[1] < limit or size != sum(
                 len(frame.data) + 4 for frame in replies) or any(
-                frame.type == OK or frame.type == INVALID and frame is not refusal
-                for frame in replies) or refusal.time > called.time + 4.0 \
+                frame.type in (OK, ECHO) and frame.time <= refusal.time or frame.type == OK
+                or frame.type == INVALID and frame is not refusal for frame in replies) or refusal.time > called.time + 4.0 \
             or called.name in ('press', 'level') and e.story.announces
         yield not excused, '' if excused or following and following[1:4] == before[0][1:4] else \
             f'{called.name} of {called.time:.3f}, refused at {refusal.time:.3f}, was not repeated'

@@ -78,7 +78,7 @@ def frames_are_published(e: Evidence) -> Verdicts:
             times.remove(at)
             yield 1, ''
             continue
-        excused = overlaps(e.stalls[0], frame.begun, frame.time, FRESH + 0.11) \
+        excused = overlaps(e.stalls[0], frame.begun, frame.time + 0.06, FRESH + 0.11) \
             or frame.type == 32 and overlaps(
                 rows_change + e.events('reset', 'silence') + e.stalls[0],
                 frame.time, frame.time, 14.0 if e.story.announces else 0.0) \

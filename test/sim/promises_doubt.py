@@ -22,7 +22,8 @@ def _stalls(e: Evidence, loop: int = 0) -> Iterator[Interval]:
     wrote = {chunk.time for chunk in e.story.device.bridge_wrote}
     for begin, end in longer(merged(e.stalls[loop], 5e-4), 0.55):
         if any(begin < each < end and any(abs(each - time) < 1e-6 for time in wrote)
-               for _, each in e.stalls[loop]):
+               for _, each in e.stalls[loop]) or not longer(
+                   [each for each in e.stalls[loop] if begin <= each[0] < end], 0.55):
             continue
         opened, closed = e.opening_of(begin)
         if opened < begin and end < closed:
@@ -125,7 +126,7 @@ def a_stalled_network_is_opened_again(e: Evidence) -> Verdicts:
     for _, end in _stalls(e):
         excused = e.opening_of(end)[1] < end or end + 0.3 > (e.story.ended or 0.0)
         yield not excused, '' if excused or any(
-            end <= each <= end + 0.3 for each in e.story.device.closings) else \
+            begin < each <= end + 0.3 for each in e.story.device.closings) else \
             f'the stall until {end:.3f} left the connection as it was'
 
 
@@ -293,7 +294,8 @@ def a_silent_pty_is_doubted(e: Evidence) -> Verdicts:
         excused = end < due + 0.3 or overlaps(
             e.stalls[0], last, due + 0.3, 0.2) or any(
             time < due + 0.3 for time, _ in e.story.robot.calibrating)
-        flushes = [each for each in device.flushes if due - SLACK <= each < end - SLACK]
+        flushes = [each for each in device.flushes if due - SLACK <= each < end - SLACK
+                   and each not in device.restorations]
         if following > due:
             yield not excused, '' if excused or len(flushes) == 1 and flushes[0] <= due + 0.3 else \
                 f'silent from {last:.3f} to {end:.3f}, flushed at {flushes}'

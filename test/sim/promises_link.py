@@ -116,7 +116,8 @@ def damage_is_counted(e: Evidence) -> Verdicts:
     # byte is given up, depends on the reads.
     end = min([begin for begin, _ in e.stalls[0] + e.events('altered', 'unplugged', 'cut')]
               + [each.begin for each in e.story.events if each.value == b'']
-              + device.closings + device.flushes + [asked for asked, *_ in e.story.tasks] + [float('inf')])
+              + device.closings + device.flushes
+              + [asked for asked, *_ in e.story.tasks] + [float('inf')])
     counts, silent, stream = Counter(), 0.0, b''        # type: ignore[var-annotated]
     chunks = [chunk for chunk in device.bridge_read if chunk.time < end]
     at = 0
