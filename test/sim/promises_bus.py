@@ -381,7 +381,8 @@ def refused_calls_are_repeated(e: Evidence) -> Verdicts:
             or e.opening_of(refusal.time)[1] < limit or size != sum(
                 len(frame.data) + 4 for frame in replies) or any(
                 frame.type in (OK, ECHO) and frame.time <= refusal.time or frame.type == OK
-                or frame.type == INVALID and frame is not refusal for frame in replies) or refusal.time > called.time + 4.0 \
+                or frame.type == INVALID and frame is not refusal for frame in replies) \
+            or refusal.time > called.time + 4.0 \
             or called.name in ('press', 'level') and e.story.announces
         yield not excused, '' if excused or following and following[1:4] == before[0][1:4] else \
             f'{called.name} of {called.time:.3f}, refused at {refusal.time:.3f}, was not repeated'

@@ -123,7 +123,7 @@ def a_stalled_network_is_opened_again(e: Evidence) -> Verdicts:
     """After a stall a network connection is reset and opened again, but that of the bus."""
     if e.kind == 'bus' or e.story.device.kind != 'network':
         return
-    for _, end in _stalls(e):
+    for begin, end in _stalls(e):
         excused = e.opening_of(end)[1] < end or end + 0.3 > (e.story.ended or 0.0)
         yield not excused, '' if excused or any(
             begin < each <= end + 0.3 for each in e.story.device.closings) else \
