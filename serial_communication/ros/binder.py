@@ -218,12 +218,12 @@ class Binder:
     def _poll(self, ros_row: RosRow) -> Callable[[], None]:
         """Call a function with a period, and publish its replies."""
         topic = ValuePublisher(ros_row, self._p)
-        poller = self.link.session.polls.add(
+        stop = self.link.session.polls.add(
             ros_row.row, ros_row.row.period,
             lambda outcome: topic.publish(_values(ros_row, outcome), outcome.stamp))
 
         def take_down() -> None:
-            self.link.session.polls.remove(poller)
+            stop()
             topic.close()
 
         return take_down
@@ -236,11 +236,11 @@ class Binder:
 
         def handle(ros_request: Any) -> Any:
             try:
-                values = fields.read(ros_request)
+                request = row.make_request(fields.read(ros_request))
             except ValueError as error:
                 outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
             else:
-                outcome = link.call(row, values)
+                outcome = link.request(request, row)
             response = fill_response(ros_row.fields.new(), outcome)
             if outcome.success:
                 ros_row.fields.fill(response, _values(ros_row, outcome))

@@ -1,6 +1,7 @@
 """Polls: functions that the link calls by itself, each with its period."""
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Callable, List, Optional
 
 from ...transport.pace import Every
@@ -27,15 +28,12 @@ class Polls:
         self._submit = submit
         self._pollers: List[Poller] = []
 
-    def add(self, function: wire.Function, period: float, on_success: OnSuccess) -> Poller:
-        """Call a function, with zeros as its values, every `period` s until `remove`."""
+    def add(self, function: wire.Function, period: float, on_success: OnSuccess) -> Callable[[], None]:
+        """Call a function, with zeros as its values, every `period` s. Return what ends that;
+        `on_success` may be called once more."""
         poller = Poller(function, period, on_success, Every(period, 0.0))
-        self._pollers = [*self._pollers, poller]     # the link's thread may be reading the old list
-        return poller
-
-    def remove(self, poller: Poller) -> None:
-        """Submit no further calls; `on_success` may be called once more."""
-        self._pollers = [each for each in self._pollers if each is not poller]
+        self._pollers.append(poller)
+        return partial(self._pollers.remove, poller)
 
     def start(self, now: float) -> None:
         """The port was opened: all are due at once."""
@@ -45,7 +43,7 @@ class Polls:
     def tick(self, now: float, is_announced: bool) -> float:
         """Submit what is due, or only what no board announces; return when the next one is."""
         due = math.inf
-        for poller in self._pollers:
+        for poller in list(self._pollers):      # any thread may add one
             if poller.function.announced and not is_announced:
                 continue
             if poller.pace.passed(now) and (poller.latest is None or poller.latest.outcome):
