@@ -28,7 +28,8 @@ class Polls:
         self._submit = submit
         self._pollers: List[Poller] = []
 
-    def add(self, function: wire.Function, period: float, on_success: OnSuccess) -> Callable[[], None]:
+    def add(self, function: wire.Function, period: float,
+            on_success: OnSuccess) -> Callable[[], None]:
         """Call a function, with zeros as its values, every `period` s. Return what ends that;
         `on_success` may be called once more."""
         poller = Poller(function, period, on_success, Every(period, 0.0))
