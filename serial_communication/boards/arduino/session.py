@@ -17,7 +17,7 @@ from ...transport.pace import Allowance
 from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import BACK, Calibration
 from .heartbeats import Heartbeats, LineTime
-from .motion import Motion, Stop
+from .motion import Motion
 
 _LONGEST_BURST = 0.05    # s of wire time that may wait; then more commands are refused
 _LONGEST_SLEEP = 0.02    # s; a low heartbeat rate must not make a zero late
@@ -136,10 +136,10 @@ class CarSession(Session):
         calibration = self.calibration      # the link's thread may set it to None
         reads = calibration is None or calibration.data_goes_on(now)
         for motion in self._known():
-            why = motion.due(now, reads)
-            if why:
-                messages.append(motion.zero)
-            if why is Stop.TIMED_OUT:
+            if not motion.due(now, reads):
+                continue
+            messages.append(motion.zero)
+            if motion.moves and not motion.is_unknown:
                 self.log.warn(f'timeout {motion.zero.LABEL}', f'no {motion.zero.LABEL} command for '
                               f'{self._options.speed_timeout:g} s: sent its zero')
         if self.heartbeats.pace.passed(now):

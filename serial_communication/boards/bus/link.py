@@ -8,10 +8,9 @@ from ...link.outcome import STOPPED, TIMEOUT, Outcome
 from ...link.session import Condition, Packet, Refused, Session
 from ...link.sparing_log import SparingLog
 from . import wire
-from .announcement import AnnouncementReader
 from .call import UNKNOWN, Call, OnSuccess
 from .master import Master, MasterOptions
-from .polls import Polls
+from .polls import AnnouncementReader, Polls
 from .session import NO_SYNC, READY
 
 _NOT_ANNOUNCED = 'the board may have begun anew, and has not announced this function since'
@@ -51,13 +50,10 @@ class MasterSession(Session):
             self._reader.begin(now)
 
     def _poll(self, request: wire.Request, function: wire.Function, now: float,
-              on_success: Optional[OnSuccess] = None) -> Call:
+              on_success: Optional[OnSuccess]) -> Call:
         call = self.master.make(request, function, now, on_success, is_poll=True)
         self.master.submit(call, now)
         return call
-
-    def _ask(self, index: int, now: float) -> Call:
-        return self._poll(wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT, now)
 
     # -- what happens -------------------------------------------------------------------
 
@@ -67,7 +63,7 @@ class MasterSession(Session):
             return
         self.polls.start(now)
         if self.options.announcements:
-            self._reader = AnnouncementReader(self._ask, self.announcement.assembly, self.log)
+            self._reader = AnnouncementReader(self._poll, self.announcement.assembly, self.log)
         self.master.begin(now)
 
     def end(self, why: str, now: float) -> None:
