@@ -46,7 +46,7 @@ def test_only_received_data_shows_that_the_board_does_not_calibrate(calibration)
     calibration.watch_again(1.0)
     assert not calibration.data_goes_on(1.01)
     calibration.imu_data(1.1)
-    assert calibration.data_goes_on(1.15) and not calibration.data_goes_on(1.21)
+    assert calibration.data_goes_on(1.15) and not calibration.data_goes_on(1.36)
 
 
 def test_imu_data_for_5_s_without_a_silence_ends_it(calibration):
