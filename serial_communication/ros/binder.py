@@ -230,8 +230,8 @@ class Binder:
 
     def _offer(self, ros_row: RosRow) -> Callable[[], None]:
         """Offer a function as a service."""
-        row, link = ros_row.row, self.link
-        fields: Any = ros_row.request
+        row: Any = ros_row.row
+        link, fields = self.link, ros_row.request
         stop = (ros_row.stop_request(), row) if row.interrupts else None
 
         def handle(ros_request: Any) -> Any:

@@ -9,8 +9,7 @@ computer is suspended.
 """
 _SILENCE = 2.0      # s without IMU data: the board calibrates, and later data is new
 _UNDER_WAY = 0.05   # s after the request, or a doubt, in which IMU data may be older than that
-_READS = 0.25       # s since the latest IMU data for which the board counts as reading: at 10 Hz
-                    # one may be lost
+_READS = 0.25       # s since the latest IMU data, of which one may be lost: the board still reads
 _GOES_ON = 5.0      # s of IMU data without such a silence: the board does not calibrate
 
 # Why a calibration is over, as a log line.
