@@ -231,7 +231,8 @@ class Binder:
     def _offer(self, ros_row: RosRow) -> Callable[[], None]:
         """Offer a function as a service."""
         row: Any = ros_row.row
-        link, fields = self.link, ros_row.request
+        fields: Any = ros_row.request
+        link = self.link
         stop = (ros_row.stop_request(), row) if row.interrupts else None
 
         def handle(ros_request: Any) -> Any:
