@@ -43,7 +43,7 @@ def test_another_time_ends_the_reach_of_the_first():
 
 
 @pytest.mark.parametrize('packet', [
-    *[arduino.encode(arduino.Log(severity, 'text')) for severity in arduino.Log.TYPES],
+    *[arduino.encode(arduino.LOGS[severity]('text')) for severity in range(4)],
     arduino.encode_raw(255, b'\0\1\0\0text'), arduino.encode_raw(253, b'\1\2')])
 def test_log_text_announcements_and_settings_are_not_counted(packet):
     assert ticks_of(time(9, 2) + (packet + TICKS) * 3) == [9, None, 9, None, 9, None, None]

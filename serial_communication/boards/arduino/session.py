@@ -226,7 +226,7 @@ class CarSession(Session):
         message = frame.message
         if isinstance(message, wire.Log):
             if self._board_lines.take(now):
-                self._on.log(message.severity, message.text)
+                self._on.log(message.TYPE, message.text)
             else:
                 self.log.warn('chatter', 'the board logs too much (over {} lines at once or {:g} a '
                               'second): some lines are left out'.format(*_BOARD_LINES))

@@ -50,7 +50,7 @@ class Polls:
                 continue
             if poller.pace.passed(now) and (poller.latest is None or poller.latest.outcome):
                 function = poller.function
-                zeros = (0,) * len(function.request.values)
+                zeros = (0,) * len(function.layout.values)
                 poller.latest = self._submit(function.make_request(zeros), function, now,
                                              poller.on_success)
             due = min(due, poller.pace.due)
