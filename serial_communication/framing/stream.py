@@ -306,22 +306,20 @@ class StreamDecoder(Decoder):
         self._noise_stamp = self._read_of(end)[0]
         self._classified = self.front + end
         while len(self._noise) >= MAX_REPORTED:
-            self._return_noise(self._noise[:MAX_REPORTED])
-            self._noise = self._noise[MAX_REPORTED:]
+            self._return_noise()
 
     def _end_noise(self, end: int) -> None:
         """End the noise at `end`."""
         self._add_noise(end)
         if self._noise:
-            self._return_noise(self._noise)
-            self._noise = b''
+            self._return_noise()
 
-    def _return_noise(self, noise: bytes) -> None:
+    def _return_noise(self) -> None:
+        noise, self._noise = self._noise[:MAX_REPORTED], self._noise[MAX_REPORTED:]
         self.errors[FRAMING] += 1
-        size = len(noise)
         self._frames.append(invalid_frame(
-            noise, FRAMING, f'{size} bytes outside frames' if size > 1
-            else '1 byte outside frames', self._noise_stamp))
+            noise, FRAMING, f'{len(noise)} byte{"s" * (len(noise) > 1)} outside frames',
+            self._noise_stamp))
 
     def _read_of(self, end: int) -> Tuple[Any, int]:
         """The read that had the last byte before `end`: its stamp, and the bytes received by

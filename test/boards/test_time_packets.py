@@ -6,7 +6,7 @@ from board_rows import car_settings as arduino_settings
 from board_rows import mcu_messages
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.settings import message_of
+from serial_communication.framing.rows import message_of
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
 
 TICKS = arduino.encode(arduino.Ticks(1))

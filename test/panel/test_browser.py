@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool
 from serial_communication.msg import Environment, McuStatus2, SteeringFeedback, Ticks, Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.framing.settings import SettingMessage
+from serial_communication.framing.rows import SettingMessage
 from serial_communication.tools.watch.topics import TOPICS
 
 if not shutil.which('chromedriver'):

@@ -7,7 +7,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tu
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
-from ...framing.settings import SettingMessage
+from ...framing.rows import SettingMessage
 from ...framing.stream import Frame
 from ...link.outcome import STOPPED
 from ...link.session import OK, WARN, Condition, Packet, Refused, Session

@@ -24,8 +24,7 @@ from typing import Any, Deque, Optional, Sequence
 
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
-from ...framing.rows import Kind, Row, Setting
-from ...framing.settings import SettingMessage
+from ...framing.rows import Kind, Row, Setting, SettingMessage
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
 from ...simulation.custom_messages import CustomMessagePlayer

@@ -16,7 +16,7 @@ from typing import Any, Dict, Iterable, List, Tuple, Type
 from ...framing import announcement, cobs, stream
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type, message_class,
                                readable)
-from ...framing.settings import SettingMessage
+from ...framing.rows import SettingMessage
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
                                invalid_frame)
 
@@ -177,11 +177,6 @@ BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, *LOGS, Time, SettingMessage, announce
 _UNTIMED = frozenset((0, 1, 2, 3, SettingMessage.TYPE, announcement.TYPE))
 
 
-def is_speed_0(message: Any) -> bool:
-    """Whether it stops the motor. Messages are tuples: another one with the value 0 is equal."""
-    return isinstance(message, SpeedCommand) and not message.value
-
-
 def encode(message: Any) -> bytes:
     """The packet as it is sent, with the 0x00 at its end.
 
@@ -250,15 +245,13 @@ class _Decoder(stream.Decoder):
         return frames
 
     def _packet(self, encoded: bytes, stamp: Any, behind: int) -> Frame:
-        if len(encoded) > _MAX_ENCODED:
+        packet = cobs.decode_or_none(encoded)
+        if len(encoded) > _MAX_ENCODED or packet and len(packet) > MAX_PACKET:
             return self._bad(encoded, OVERSIZE, f'a packet of over {MAX_PACKET} bytes', stamp)
         raw = encoded + b'\0'
-        packet = cobs.decode_or_none(encoded)
         if not packet:
             return self._bad(raw, FRAMING, 'a packet without a type' if packet == b'' else
                              'a COBS code points past the end of the packet', stamp)
-        if len(packet) > MAX_PACKET:
-            return self._bad(raw, OVERSIZE, f'a packet of over {MAX_PACKET} bytes', stamp)
         type_, data = packet[0], packet[1:]
         kind = self.messages.get(type_)
         if kind is None:

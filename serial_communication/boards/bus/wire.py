@@ -11,13 +11,12 @@ Flag 0xA5: standard frame, Datelen is one byte, under 255. Flag 0x5A: long frame
 uint16, 255 or more. Datelen counts the DATE bytes. Checksum: XOR of every byte before it.
 Little-endian. doc/protocols.md lists the decisions where the source says nothing.
 """
-import struct
 from collections import namedtuple
 from dataclasses import dataclass
 from typing import Sequence, Tuple, Union
 
 from ...framing import announcement
-from ...framing.layout import Layout, Value
+from ...framing.layout import Layout, LayoutMessage, Value
 from ...framing.rows import Kind, Row
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, Bad, Good, Need,
                                StreamDecoder, running_xor)
@@ -99,7 +98,7 @@ class Reply(namedtuple('Reply', 'cmd1 data cmd2', defaults=(b'', 0))):
         return f'{name} {self.data.hex()}'.rstrip()
 
 
-class Environment(namedtuple('Environment', 'smoke temperature humidity')):
+class Environment(LayoutMessage, namedtuple('Environment', 'smoke temperature humidity')):
     """The DATE of an OK reply to the environment request: smoke raw, the rest in steps of 0.01."""
 
     __slots__ = ()
@@ -108,14 +107,8 @@ class Environment(namedtuple('Environment', 'smoke temperature humidity')):
 
     @classmethod
     def unpack(cls, data: bytes) -> 'Environment':
-        """From six DATE bytes; struct.error if there are more or fewer."""
         smoke, temperature, humidity = cls.LAYOUT.raw(data)
         return cls(smoke, temperature / 100, humidity / 100)
-
-    def pack(self) -> bytes:
-        """The six DATE bytes."""
-        return struct.pack(self.LAYOUT.layout, self.smoke, round(self.temperature * 100),
-                           round(self.humidity * 100))
 
     def __str__(self) -> str:
         return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'

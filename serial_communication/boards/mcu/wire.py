@@ -16,7 +16,7 @@ from typing import Iterable, Optional, Type, Union
 from ...framing.announcement import Chunk
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type,
                                message_class)
-from ...framing.settings import SettingMessage
+from ...framing.rows import SettingMessage
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
 

@@ -20,8 +20,7 @@ from datetime import datetime
 from typing import Any, Optional
 
 from ...framing.frame_timer import FrameTimer
-from ...framing.rows import Kind
-from ...framing.settings import message_of
+from ...framing.rows import Kind, message_of
 from ...framing.stream import Frame
 from ...transport.port import Port, PortError
 from . import lines
