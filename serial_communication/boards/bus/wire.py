@@ -39,7 +39,6 @@ GIMBAL = 0x21
 ENVIRONMENT = 0x22
 # error codes
 CHECKSUM_MISMATCH = 0x40
-TOO_LONG = 0x20
 NOT_SYNCHRONISED = 0x10
 UNSUPPORTED = 0x8000
 MALFORMED = 0x8001
@@ -47,7 +46,7 @@ OPERATION_FAILED = 0x8002
 
 ERROR_TEXTS = {
     CHECKSUM_MISMATCH: 'the checksum did not match',
-    TOO_LONG: 'the frame was too long for the board',
+    0x20: 'the frame was too long for the board',
     NOT_SYNCHRONISED: 'the channel is not synchronised',
     UNSUPPORTED: 'the board does not support this command',
     MALFORMED: 'the data is malformed',
