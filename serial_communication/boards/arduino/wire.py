@@ -231,7 +231,7 @@ class _Decoder(stream.Decoder):
         for packet in packets:
             behind -= len(packet) + 1
             if packet:
-                frames.append(self._packet(packet[:_MAX_ENCODED + 1], stamp, behind))
+                frames.append(self._packet(packet, stamp, behind))
         self._stamp = stamp
         self.front = self.received - len(self._begun)
         return frames
@@ -245,10 +245,11 @@ class _Decoder(stream.Decoder):
         return frames
 
     def _packet(self, encoded: bytes, stamp: Any, behind: int) -> Frame:
+        raw = encoded + b'\0'
         packet = cobs.decode_or_none(encoded)
         if len(encoded) > _MAX_ENCODED or packet and len(packet) > MAX_PACKET:
-            return self._bad(encoded, OVERSIZE, f'a packet of over {MAX_PACKET} bytes', stamp)
-        raw = encoded + b'\0'
+            return self._bad(encoded[:_MAX_ENCODED + 1], OVERSIZE,
+                             f'a packet of over {MAX_PACKET} bytes', stamp)
         if not packet:
             return self._bad(raw, FRAMING, 'a packet without a type' if packet == b'' else
                              'a COBS code points past the end of the packet', stamp)
