@@ -372,8 +372,8 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
 
 
 def by_type(*kinds: Any) -> Dict[int, Any]:
-    """Message classes by their types: `TYPE`, or `TYPES` of a class with several."""
-    return {type_: kind for kind in kinds for type_ in getattr(kind, 'TYPES', None) or (kind.TYPE,)}
+    """Message classes by their types."""
+    return {kind.TYPE: kind for kind in kinds}
 
 
 def readable(text: str) -> str:

@@ -142,6 +142,60 @@ def running_xor(data: bytes, before: int) -> bytes:
     return value.to_bytes(size, 'big')
 
 
+class FrameTimer:
+    """Says when the incomplete frame of a decoder is given up. All times are s of one clock.
+
+    After `timeout` without a byte an incomplete frame is given up, and noise ends. Whatever is
+    received meanwhile, a frame is also given up `timeout` and its own time on the wire after its
+    first byte. So a false length cannot delay other frames, or hold a link, for longer.
+
+    Args:
+        decoder: whose pending frame is watched.
+        timeout: s without a byte.
+        baud: of the line.
+    """
+
+    def __init__(self, decoder: Decoder, timeout: float, baud: int = 115200) -> None:
+        self._decoder = decoder
+        self._timeout = timeout
+        self._seconds_a_byte = 10.0 / baud
+        # Of each read with bytes of the incomplete frame: the bytes received by then, and its time.
+        self._reads: Deque[Tuple[int, float]] = deque()
+
+    def reset(self) -> None:
+        """Begin again, as after a reconnect."""
+        self._reads.clear()
+
+    def due(self, last_byte: float) -> Optional[float]:
+        """When to call `overdue` at the latest; None while nothing is pending.
+
+        To be called after each read, or `overdue`.
+
+        Args:
+            last_byte: when the latest byte was received.
+        """
+        decoder, reads = self._decoder, self._reads
+        if not decoder.pending:
+            reads.clear()
+            return None
+        if not reads or reads[-1][0] != decoder.received:
+            reads.append((decoder.received, last_byte))
+        while reads and reads[0][0] <= decoder.front:
+            reads.popleft()
+        begun = reads[0][1] + decoder.needed * self._seconds_a_byte if reads else last_byte
+        return min(last_byte, begun) + self._timeout
+
+    def overdue(self, last_byte: float, now: float) -> List[Frame]:
+        """Give up what has waited too long; return the frames, valid and invalid, that this
+        completes."""
+        frames: List[Frame] = []
+        due = self.due(last_byte)
+        while due is not None and now >= due:
+            frames += self._decoder.give_up()
+            due = self.due(last_byte)
+        return frames
+
+
 class Good(NamedTuple):
     """A valid frame begins here. The fields are those of `Frame`, after its size in bytes."""
 
@@ -306,22 +360,20 @@ class StreamDecoder(Decoder):
         self._noise_stamp = self._read_of(end)[0]
         self._classified = self.front + end
         while len(self._noise) >= MAX_REPORTED:
-            self._return_noise(self._noise[:MAX_REPORTED])
-            self._noise = self._noise[MAX_REPORTED:]
+            self._return_noise()
 
     def _end_noise(self, end: int) -> None:
         """End the noise at `end`."""
         self._add_noise(end)
         if self._noise:
-            self._return_noise(self._noise)
-            self._noise = b''
+            self._return_noise()
 
-    def _return_noise(self, noise: bytes) -> None:
+    def _return_noise(self) -> None:
+        noise, self._noise = self._noise[:MAX_REPORTED], self._noise[MAX_REPORTED:]
         self.errors[FRAMING] += 1
-        size = len(noise)
         self._frames.append(invalid_frame(
-            noise, FRAMING, f'{size} bytes outside frames' if size > 1
-            else '1 byte outside frames', self._noise_stamp))
+            noise, FRAMING, f'{len(noise)} byte{"s" * (len(noise) > 1)} outside frames',
+            self._noise_stamp))
 
     def _read_of(self, end: int) -> Tuple[Any, int]:
         """The read that had the last byte before `end`: its stamp, and the bytes received by

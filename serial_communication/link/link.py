@@ -4,7 +4,7 @@ import time
 import traceback
 from typing import Any, Callable, List, Optional
 
-from ..framing.frame_timer import FrameTimer
+from ..framing.stream import FrameTimer
 from ..transport import pace
 from ..transport.port import Port, PortError
 from .freshness import FRESH

@@ -2,8 +2,7 @@
 import traceback
 from typing import Any, Optional
 
-from ..framing.frame_timer import FrameTimer
-from ..framing.stream import UNKNOWN, Frame, stamped
+from ..framing.stream import UNKNOWN, Frame, FrameTimer, stamped
 from .session import Session
 from .stamps import Read, Stamps
 from .traffic import RX, Traffic

@@ -3,8 +3,7 @@ import threading
 from copy import copy
 from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple, Type
 
-from ..framing.rows import Setting
-from ..framing.settings import SettingMessage, message_of
+from ..framing.rows import Setting, SettingMessage, message_of
 from ..transport.pace import Allowance
 from .sparing_log import SparingLog
 

@@ -7,8 +7,7 @@ import re
 import sys
 from contextlib import suppress
 from io import BytesIO
-from typing import (Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Sequence, Tuple,
-                    Union)
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import roslib.message
 from genpy import SerializationError
@@ -188,12 +187,14 @@ class RosFields:
         if not fits[has]:
             raise RowError(key, value.name,
                            f'is {place.type}{place.array}, which cannot hold the {has} there')
-        convert: Optional[Callable[[Any], Any]] = None
+        convert: Any = None
         if place.type == 'bool':
             convert = bool
-        elif has != 'text' and place.type not in ('float32', 'float64') and not value.is_whole:
+        elif has != 'text' and place.code not in FRACTIONS and not value.is_whole:
             convert = round
-        return place._replace(to_ros=_for_each(convert) if convert and has == 'array' else convert)
+        if convert and has == 'array':
+            return place._replace(to_ros=lambda numbers: [convert(number) for number in numbers])
+        return place._replace(to_ros=convert)
 
     def _follow(self, key: str, path: str) -> _Place:
         """Return the place at a path; RowError if there is none."""
@@ -230,7 +231,3 @@ def _walk(message: Any, steps: Sequence) -> Any:
     for step in steps:
         message = message[step] if isinstance(step, int) else getattr(message, step)
     return message
-
-
-def _for_each(convert: Callable[[Any], Any]) -> Callable[[Iterable], list]:
-    return lambda numbers: [convert(number) for number in numbers]

@@ -4,8 +4,7 @@ import threading
 import time
 from typing import Callable, Optional
 
-from ..framing.frame_timer import FrameTimer
-from ..framing.stream import Decoder, Frame
+from ..framing.stream import Decoder, Frame, FrameTimer
 from ..transport.pace import set_priority
 from ..transport.port import Port, PortError
 from .faults import Faults

@@ -9,11 +9,10 @@ from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
 
 from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
-from ..framing.announcement import chunks_of, write_announcement
 from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
-from ..framing.rows import Kind, Row, Setting
-from ..framing.settings import SettingMessage, message_of
+from ..framing.rows import Kind, Row, Setting, SettingMessage, message_of
 from ..transport.pace import Every
+from .announcing import chunks_of, write_announcement
 
 PERIOD = 0.1      # s between two messages of a kind
 CHUNK = 60        # bytes of text in a chunk of an announcement

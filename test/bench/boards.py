@@ -16,7 +16,7 @@ from fake_bus import FakeBus
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.settings import SettingMessage
+from serial_communication.framing.rows import SettingMessage
 from .child import jittered, serve, sleep_until, wait_until
 
 BITS = 10              # for a byte on the wire, with start and stop bit

@@ -9,7 +9,8 @@ from serial_communication.boards.bus import polls
 from serial_communication.boards.bus.call import Call
 from serial_communication.boards.mcu import wire as mcu
 from links import McuLink
-from serial_communication.framing.announcement import Assembly, chunks_of
+from serial_communication.framing.announcement import Assembly
+from serial_communication.simulation.announcing import chunks_of
 from serial_communication.link.session import Refused
 from serial_communication.link.outcome import TIMEOUT, Outcome
 from serial_communication.link.sparing_log import SparingLog

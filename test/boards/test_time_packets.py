@@ -6,7 +6,7 @@ from board_rows import car_settings as arduino_settings
 from board_rows import mcu_messages
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.settings import message_of
+from serial_communication.framing.rows import message_of
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
 
 TICKS = arduino.encode(arduino.Ticks(1))
@@ -43,7 +43,7 @@ def test_another_time_ends_the_reach_of_the_first():
 
 
 @pytest.mark.parametrize('packet', [
-    *[arduino.encode(arduino.Log(severity, 'text')) for severity in arduino.Log.TYPES],
+    *[arduino.encode(arduino.LOGS[severity]('text')) for severity in range(4)],
     arduino.encode_raw(255, b'\0\1\0\0text'), arduino.encode_raw(253, b'\1\2')])
 def test_log_text_announcements_and_settings_are_not_counted(packet):
     assert ticks_of(time(9, 2) + (packet + TICKS) * 3) == [9, None, 9, None, 9, None, None]

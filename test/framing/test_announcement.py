@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from serial_communication.framing.announcement import (LONGEST, Assembly, Chunk, chunks_of, crc_of,
-                                                       read_announcement, write_announcement)
+from serial_communication.framing.announcement import (LONGEST, Assembly, Chunk, crc_of,
+                                                       read_announcement)
+from serial_communication.simulation.announcing import chunks_of, write_announcement
 
 TEXT = (b'firmware: nano_car 1.1.0\n'
         b'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data]}\n')

@@ -4,7 +4,7 @@ import pytest
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.frame_timer import FrameTimer
+from serial_communication.framing.stream import FrameTimer
 
 TIMEOUT = 0.05
 BAUD = 9600

@@ -10,9 +10,8 @@ from board_rows import car_settings as arduino_settings
 from board_rows import mcu_settings
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.rows import RowError
+from serial_communication.framing.rows import RowError, SettingMessage, message_of
 from serial_communication.framing.layout import Value
-from serial_communication.framing.settings import SettingMessage, message_of
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
 
 KP = {'setting': 1, 'layout': '<f', 'minimum': 0.0, 'maximum': 10.0, 'unit': '1/s',

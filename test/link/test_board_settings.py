@@ -6,8 +6,7 @@ import pytest
 
 from board_rows import car_settings
 
-from serial_communication.framing.rows import BOARD
-from serial_communication.framing.settings import SettingMessage
+from serial_communication.framing.rows import BOARD, SettingMessage
 from serial_communication.link.settings import BoardSettings
 from serial_communication.link.sparing_log import SparingLog
 

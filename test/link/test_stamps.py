@@ -86,7 +86,7 @@ def test_all_packets_of_one_time_have_one_stamp(car):
 
 
 def test_the_wire_time_from_the_begin_of_the_frame_to_the_read_is_taken_off(car):
-    more = arduino.encode(arduino.Log(1, 'x' * 200))
+    more = arduino.encode(arduino.LOGS[1]('x' * 200))
     late = 10 * DELAY + len(more) * BYTE
     car.settle(late=late, behind=more)
     assert car.measure(late, more) == pytest.approx(10 * DELAY - GROUP * BYTE, abs=1e-4)

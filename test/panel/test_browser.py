@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool
 from serial_communication.msg import Environment, McuStatus2, SteeringFeedback, Ticks, Voltage
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.framing.settings import SettingMessage
+from serial_communication.framing.rows import SettingMessage
 from serial_communication.tools.watch.topics import TOPICS
 
 if not shutil.which('chromedriver'):
@@ -185,7 +185,7 @@ def test_markup_in_a_text_is_shown_as_text(page, robot):
         return text in page.text('.log') and page.script(
             "return [...document.querySelectorAll('.chip')]"
             ".some(chip => chip.textContent.includes('WARN'))")
-    page.wait(shows, 'log and wire show it', doing=lambda: robot.car.say(arduino.Log(2, text)))
+    page.wait(shows, 'log and wire show it', doing=lambda: robot.car.say(arduino.LOGS[2](text)))
     assert 'arduino' in page.texts('.log .link-name')       # it leads to the link's card
     assert page.all('.log img') == page.all('.log script') == page.all('.frame img') == []
     assert 'pwned' not in page.title

@@ -16,7 +16,8 @@ from boards import (PACKAGE, Bridge, BusBoard, CarBoard, Diagnostics, Line, Roso
                     Topic, command_topic, own_folder, service, until)
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.framing.announcement import TYPE, chunks_of
+from serial_communication.framing.announcement import TYPE
+from serial_communication.simulation.announcing import chunks_of
 from serial_communication.msg import Ticks
 
 NODE = '/' + PACKAGE + '/'

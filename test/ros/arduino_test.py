@@ -13,7 +13,7 @@ from std_srvs.srv import Empty
 from boards import (CALIBRATION_PACKET, PACKAGE, SPEED_0_PACKET, CarBoard, Diagnostics, Rosout,
                     Topic, again_if_stalled, calibrates, command_topic, level_imu, plug, service,
                     stamped, until, values_of)
-from serial_communication.framing.announcement import chunks_of
+from serial_communication.simulation.announcing import chunks_of
 from serial_communication.msg import (SpeedPWMCommand, SteeringFeedback, SteeringPWMCommand,
                                       Ticks, Voltage)
 from serial_communication.boards.arduino import wire as arduino
@@ -180,7 +180,7 @@ class Logs(ArduinoTest):
     def test_log_lines_of_the_board_keep_their_severity(self):
         for severity, level in enumerate((Log.INFO, Log.WARN, Log.ERROR), 1):
             text = 'a line of severity %d' % severity
-            message = arduino.Log(severity, text)
+            message = arduino.LOGS[severity](text)
             ROSOUT.wait_for(self.node, text, level, lambda m=message: self.board.say(m))
 
 
@@ -211,7 +211,7 @@ class Tuned(ArduinoTest):
         diagnostics = Diagnostics(self.node)
         self.addCleanup(diagnostics.close)
         row = b'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data]}'
-        messages = [*chunks_of(row, 20), arduino.Log(1, 'the line after it')]
+        messages = [*chunks_of(row, 20), arduino.LOGS[1]('the line after it')]
         ROSOUT.wait_for(self.node, 'the line after it',
                         doing=lambda: [self.board.say(message) for message in messages])
         diagnostics.fresh('arduino', lambda status: 'announced' not in status.keys

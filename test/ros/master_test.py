@@ -8,7 +8,7 @@ import rosgraph
 import rostest
 
 from boards import PACKAGE, PATIENCE, SPEED_0_PACKET, BoardsTest, CarBoard, until
-from serial_communication.framing.announcement import chunks_of
+from serial_communication.simulation.announcing import chunks_of
 
 NAME = '/' + PACKAGE
 WITHIN = 10.0         # s in which the bridge must be back at a new master

@@ -13,8 +13,8 @@ from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Rosout, again_
                     own_folder, until)
 from serial_communication.boards.arduino import DESCRIPTION
 from serial_communication.boards.arduino import wire
-from serial_communication.framing.announcement import chunks_of
-from serial_communication.framing.settings import SettingMessage, message_of
+from serial_communication.simulation.announcing import chunks_of
+from serial_communication.framing.rows import SettingMessage, message_of
 
 NAME = '/' + PACKAGE + '/settings/arduino'
 ROWS = {

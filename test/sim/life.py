@@ -108,7 +108,7 @@ def _call(story: Story) -> None:
         data = number.to_bytes(2, 'little')
         cmd1, cmd2 = 0x55, 0
         if name in functions:
-            cmd2, data = functions[name].cmd2, b'' if name == 'halt' else data
+            cmd2, data = functions[name].number, b'' if name == 'halt' else data
         elif name in ('press', 'level', 'halt'):
             return      # not announced now
         elif name == 'raw':

@@ -5,7 +5,7 @@ from typing import Any, Callable, Optional
 from serial_communication.boards.arduino.simulator import ModelCar  # noqa: F401
 from serial_communication.boards.bus.simulator import ControlBoard as BusBoard
 from serial_communication.boards.mcu.simulator import SensorBoard  # noqa: F401
-from serial_communication.framing.announcement import write_announcement  # noqa: F401
+from serial_communication.simulation.announcing import write_announcement  # noqa: F401
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.simulation.line import SimulatedLine
 

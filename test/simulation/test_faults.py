@@ -101,7 +101,7 @@ def test_a_reset_sends_chatter_and_clears_the_state():
         bench.run(1)
         logs += bench.messages(arduino.Log)
     boots = len(bench.notes('boot'))
-    assert boots > 4 and logs.count(arduino.Log(1, 'IMU ready')) == boots
+    assert boots > 4 and logs.count(arduino.LOGS[1]('IMU ready')) == boots
 
 
 # -- repeating a run -----------------------------------------------------------

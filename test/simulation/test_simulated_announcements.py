@@ -14,8 +14,8 @@ from serial_communication.boards.bus.simulator import ControlBoard
 from serial_communication.boards.config_file import board_parameters, read_parameters
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard
-from serial_communication.framing.announcement import (Assembly, Chunk, chunks_of,
-                                                       read_announcement)
+from serial_communication.framing.announcement import Assembly, Chunk, read_announcement
+from serial_communication.simulation.announcing import chunks_of
 from serial_communication.simulation.custom_messages import add_options, announced_text
 
 EXAMPLES = os.path.join(ROOT, 'config', 'custom_messages.yaml')

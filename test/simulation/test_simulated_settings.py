@@ -5,7 +5,7 @@ import pytest
 
 from serial_communication.boards import description
 from serial_communication.framing.announcement import Assembly, Chunk, read_announcement
-from serial_communication.framing.settings import SettingMessage, message_of
+from serial_communication.framing.rows import SettingMessage, message_of
 from serial_communication.simulation.custom_messages import Configured, announced_text
 from serial_communication.simulation.line import SimulatedLine
 

@@ -8,7 +8,7 @@ import pytest
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.framing.announcement import chunks_of
+from serial_communication.simulation.announcing import chunks_of
 from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NotHex
 from waiting import PATIENCE

@@ -32,7 +32,7 @@ def valid_frame(link, chance):
                           number)
     return arduino.encode(chance.choice((
         arduino.Ticks(number), arduino.SteeringAngle(number * 5), arduino.Voltage(number / 20),
-        arduino.Imu(16384, 0, 0, 0, *[number] * 7), arduino.Log(2, 'motor hot' * (number % 5)))))
+        arduino.Imu(16384, 0, 0, 0, *[number] * 7), arduino.LOGS[2]('motor hot' * (number % 5)))))
 
 
 def damaged_stream(link, seed, count):

@@ -3,8 +3,7 @@ from typing import Any, Mapping
 
 from ...framing.layout import Layout, Value
 from ...framing.row_reader import RESERVED, Group
-from ...framing.rows import Kind, Row, Setting
-from ...framing.settings import message_of
+from ...framing.rows import Kind, Row, Setting, message_of
 from ...framing.stream import Decoder
 from ..description import Description, Service, Topic
 from . import wire

@@ -7,7 +7,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tu
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
-from ...framing.settings import SettingMessage
+from ...framing.rows import SettingMessage
 from ...framing.stream import Frame
 from ...link.outcome import STOPPED
 from ...link.session import OK, WARN, Condition, Packet, Refused, Session
@@ -227,7 +227,7 @@ class CarSession(Session):
         message = frame.message
         if isinstance(message, wire.Log):
             if self._board_lines.take(now):
-                self._on_log(message.severity, message.text)
+                self._on_log(message.TYPE, message.text)
             else:
                 self.log.warn('chatter', 'the board logs too much (over {} lines at once or {:g} a '
                               'second): some lines are left out'.format(*_BOARD_LINES))

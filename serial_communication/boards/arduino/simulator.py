@@ -24,8 +24,7 @@ from typing import Any, Deque, Optional, Sequence
 
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
-from ...framing.rows import Kind, Row, Setting
-from ...framing.settings import SettingMessage
+from ...framing.rows import Kind, Row, Setting, SettingMessage
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
 from ...simulation.custom_messages import CustomMessagePlayer
@@ -288,16 +287,17 @@ class ModelCar(Board):
         roll = 0.008 * sideways + gauss(0, 0.0005)
         pitch = -0.008 * self._acceleration + gauss(0, 0.0005)
         yaw = self.yaw + gauss(0, 0.0005)
-        return wire.Imu.from_si(
-            quaternion(roll, pitch, yaw),
-            (gauss(0, 0.02), gauss(0, 0.02), yaw_rate + gauss(0, 0.02)),
-            (self._acceleration - G * math.sin(pitch) + gauss(0, 0.04),
-             sideways + G * math.sin(roll) + gauss(0, 0.04),
-             G * math.cos(roll) * math.cos(pitch) + gauss(0, 0.04)),
-            31 + 2 * math.sin(now / 60) + gauss(0, 0.02))
+        x, y, z, w = quaternion(roll, pitch, yaw)
+        # In the board's axes: x is ROS's -y, y is its x.
+        return wire.Imu.unpack(wire.Imu.LAYOUT.pack((
+            w, -y, x, z, gauss(0, 0.02), gauss(0, 0.02), yaw_rate + gauss(0, 0.02),
+            -sideways - G * math.sin(roll) + gauss(0, 0.04),
+            self._acceleration - G * math.sin(pitch) + gauss(0, 0.04),
+            G * math.cos(roll) * math.cos(pitch) + gauss(0, 0.04),
+            31 + 2 * math.sin(now / 60) + gauss(0, 0.02))))
 
     def _log(self, severity: int, text: str) -> None:
-        self._send(wire.Log(severity, text))
+        self._send(wire.LOGS[severity](text))
 
     def _send_measured(self, *messages: Any) -> None:
         """Send messages that hold what is measured now."""

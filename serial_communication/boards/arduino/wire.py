@@ -16,7 +16,7 @@ from typing import Any, Dict, Iterable, List, Tuple, Type
 from ...framing import announcement, cobs, stream
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type, message_class,
                                readable)
-from ...framing.settings import SettingMessage
+from ...framing.rows import SettingMessage
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
                                invalid_frame)
 
@@ -33,24 +33,19 @@ Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]      # x, y, z, w
 
 
-class Log(namedtuple('Log', 'severity text')):
-    """DEBUG, INFO, WARN, ERROR (0 … 3), board -> us: a log line.
+class Log(LayoutMessage, namedtuple('Log', 'text')):
+    """A log line, board -> us; a class of its own for each severity: see `LOGS`.
 
     Control characters and bad UTF-8 in the text are replaced.
     """
 
     __slots__ = ()
-    TYPES = (0, 1, 2, 3)
-    TICKS_AT = None
-    LABEL = 'log'
-    LABELS = ('DEBUG', 'INFO', 'WARN', 'ERROR')
-    LAYOUT = Layout('<s', [Value('text')])
+    LAYOUT = Layout('<s', [Value('text')])     # usually ended by 0x00
 
     @classmethod
-    def unpack(cls, severity: int, data: bytes) -> 'Log':
-        """From the data: text, usually ended by 0x00."""
+    def unpack(cls, data: bytes) -> 'Log':
         text = data.split(b'\0', 1)[0].decode('utf-8', 'replace')
-        return tuple.__new__(cls, (severity, readable(text.rstrip('\r\n'))))
+        return tuple.__new__(cls, (readable(text.rstrip('\r\n')),))
 
     def implausible(self) -> str:
         """Why this cannot be a log line, or ''. A damaged packet may have type 0 … 3, too, but
@@ -60,17 +55,16 @@ class Log(namedtuple('Log', 'severity text')):
             return ''
         return f'{unreadable} of {len(self.text)} characters are unreadable'
 
-    @property
-    def TYPE(self) -> int:  # noqa: N802 - the type is the severity
-        return self.severity
-
     def pack(self) -> bytes:
         return self.text.encode() + b'\0'
 
     def __str__(self) -> str:
-        return f'{self.LABELS[self.severity]}: {self.text}'
+        return f'{self.LABEL}: {self.text}'
 
 
+# By type, which is the severity: 0 … 3.
+LOGS: List[Any] = [type(label, (Log,), {'__slots__': (), 'TYPE': type_, 'LABEL': label})
+                   for type_, label in enumerate(('DEBUG', 'INFO', 'WARN', 'ERROR'))]
 SpeedCommand = message_class(
     'SpeedCommand', 4, '<h', [Value('value')], 'speed',
     'SPEED_CMD, us -> board: PWM of the drive motor, -1000 … 1000.')
@@ -86,11 +80,6 @@ class LedCommand(LayoutMessage, namedtuple('LedCommand', 'text')):
     TYPE = 6
     LABEL = 'LED'
     LAYOUT = Layout('<s', [Value('text')])
-
-    @classmethod
-    def unpack(cls, data: bytes) -> 'LedCommand':
-        """From the data: text and a 0x00."""
-        return cls(data.split(b'\0', 1)[0].decode('ascii', 'replace'))
 
     def pack(self) -> bytes:
         """The data; ValueError for a text that is too long, not ASCII, or has a NUL: its end."""
@@ -139,24 +128,10 @@ class Imu(LayoutMessage, namedtuple(
         Value('temperature', '°C', 1 / 340, 36.53)])
 
     @classmethod
-    def from_si(cls, orientation: Quaternion, angular_velocity: Vector, linear_acceleration: Vector,
-                temperature: float, gyro_scale: float = GYRO_SCALE) -> 'Imu':
-        """The message for these values, saturated to int16: the inverse of the methods below."""
-        x, y, z, w = orientation
-        gx, gy, gz = angular_velocity
-        ax, ay, az = linear_acceleration
-        scaled = [part / scale for scale, parts in (
-            (_QUATERNION, (w, -y, x, z)), (gyro_scale, (-gy, gx, gz)),
-            (_ACCELERATION, (-ay, ax, az)), (1 / 340, (temperature - 36.53,))) for part in parts]
-        return cls(*(min(max(round(value), -0x8000), 0x7FFF) for value in scaled))
-
-    @classmethod
     def unpack(cls, data: bytes) -> 'Imu':
-        """From 22 bytes; struct.error if there are more or fewer."""
         return tuple.__new__(cls, cls.LAYOUT.raw(data))
 
     def pack(self) -> bytes:
-        """The 22 bytes; struct.error if a number does not fit an int16."""
         return struct.pack(self.LAYOUT.layout, *self)
 
     def orientation(self) -> Quaternion:
@@ -197,14 +172,9 @@ Time = message_class(
 FROM_BOARD = (SteeringAngle, Ticks, Imu, Voltage)
 TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration)
 # A custom message has none of these types.
-BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, Log, Time, SettingMessage, announcement.Chunk)
+BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, *LOGS, Time, SettingMessage, announcement.Chunk)
 # TIME does not count packets of these types.
-_UNTIMED = frozenset((*Log.TYPES, SettingMessage.TYPE, announcement.TYPE))
-
-
-def is_speed_0(message: Any) -> bool:
-    """Whether it stops the motor. Messages are tuples: another one with the value 0 is equal."""
-    return isinstance(message, SpeedCommand) and not message.value
+_UNTIMED = frozenset((0, 1, 2, 3, SettingMessage.TYPE, announcement.TYPE))
 
 
 def encode(message: Any) -> bytes:
@@ -246,13 +216,8 @@ class _Decoder(stream.Decoder):
             () if check_plausibility else self.MESSAGES.keys() - {Time.TYPE, SettingMessage.TYPE})
         self.messages = {**self.MESSAGES, **by_type(*messages)}
 
-    @property
-    def pending(self) -> bool:
-        return self.begun or self._dropping
-
     def _begin(self) -> None:
-        self._begun = b''
-        self._dropping = False     # the packet is too long already: drop the rest of it
+        self._begun = b''          # the incomplete packet; of one that is too long, its beginning
         self._stamp: Any = None    # of the read with the packet's latest byte
         self._ticks = 0            # of the latest TIME
         self._timed = 0            # how many of the next packets it is for
@@ -262,21 +227,12 @@ class _Decoder(stream.Decoder):
         self.received += len(data)
         data = self._begun + data
         packets, behind = data.split(b'\0'), len(data)
-        self._begun = packets.pop()
+        self._begun = packets.pop()[:_MAX_ENCODED + 1]
         for packet in packets:
             behind -= len(packet) + 1
-            if self._dropping:
-                self._dropping = False
-            elif len(packet) > _MAX_ENCODED:
-                self._oversize(packet, frames, stamp)
-            elif packet:
+            if packet:
                 frames.append(self._packet(packet, stamp, behind))
         self._stamp = stamp
-        if len(self._begun) > _MAX_ENCODED or self._dropping:
-            if not self._dropping:
-                self._oversize(self._begun, frames, stamp)
-                self._dropping = True
-            self._begun = b''
         self.front = self.received - len(self._begun)
         return frames
 
@@ -288,27 +244,21 @@ class _Decoder(stream.Decoder):
         self.reset()
         return frames
 
-    def _oversize(self, packet: bytes, frames: List[Frame], stamp: Any) -> None:
-        # So many bytes of it, however they were received.
-        frames.append(self._bad(packet[:_MAX_ENCODED + 1], OVERSIZE,
-                                f'a packet of over {MAX_PACKET} bytes', stamp))
-
     def _packet(self, encoded: bytes, stamp: Any, behind: int) -> Frame:
         raw = encoded + b'\0'
         packet = cobs.decode_or_none(encoded)
-        if packet is None:
-            return self._bad(raw, FRAMING, 'a COBS code points past the end of the packet', stamp)
+        if len(encoded) > _MAX_ENCODED or packet and len(packet) > MAX_PACKET:
+            return self._bad(encoded[:_MAX_ENCODED + 1], OVERSIZE,
+                             f'a packet of over {MAX_PACKET} bytes', stamp)
         if not packet:
-            return self._bad(raw, FRAMING, 'a packet without a type', stamp)
-        if len(packet) > MAX_PACKET:
-            return self._bad(raw, OVERSIZE, f'a packet of {len(packet)} bytes, over {MAX_PACKET}',
-                             stamp)
+            return self._bad(raw, FRAMING, 'a packet without a type' if packet == b'' else
+                             'a COBS code points past the end of the packet', stamp)
         type_, data = packet[0], packet[1:]
         kind = self.messages.get(type_)
         if kind is None:
             return self._bad(raw, UNKNOWN, f'message type {type_} is unknown', stamp, type_, data)
         try:
-            message = kind.unpack(data) if kind is not Log else Log.unpack(type_, data)
+            message = kind.unpack(data)
         except struct.error:
             return self._bad(raw, LENGTH, f'{kind.LABEL} packet with {len(data)} bytes of data '
                              f'where {kind.layout_of(data).sizes()} is right', stamp, type_, data)
@@ -335,7 +285,7 @@ class _Decoder(stream.Decoder):
 class Decoder(_Decoder):
     """Decodes what the board sends."""
 
-    MESSAGES = by_type(*FROM_BOARD, Log, Time, SettingMessage, announcement.Chunk)
+    MESSAGES = by_type(*FROM_BOARD, *LOGS, Time, SettingMessage, announcement.Chunk)
 
 
 class BoardDecoder(_Decoder):

@@ -19,7 +19,7 @@ DESCRIPTION = Description(
     rows=(wire.LIFT_FUNCTION, wire.GIMBAL_FUNCTION),
     groups=(Group(
         'functions', '~', (Kind.FUNCTION,),
-        [cmd2 for cmd2 in range(wire.ANNOUNCEMENT.cmd2)
+        [cmd2 for cmd2 in range(wire.ANNOUNCEMENT.number)
          if (wire.FUNCTION, cmd2) not in wire.BUILT_IN], wire.MAX_LENGTH, wire.Function),),
     topics=tuple(Topic(name, type_, period_parameter='environment_period', card=None)
                  for name, type_ in (

@@ -56,7 +56,7 @@ class Polls:
             if function.announced and not is_announced:
                 continue
             if poll.pace.passed(now) and (poll.latest is None or poll.latest.outcome):
-                zeros = (0,) * len(function.request.values)
+                zeros = (0,) * len(function.layout.values)
                 poll.latest = self._submit(function.make_request(zeros), function, now,
                                            poll.on_success)
             due = min(due, poll.pace.due)

@@ -26,8 +26,8 @@ from collections import deque
 from random import Random
 from typing import Deque, Iterable, NamedTuple, Optional, Tuple
 
-from ...framing.announcement import chunks_of
 from ...framing.stream import CHECKSUM, Frame
+from ...simulation.announcing import chunks_of
 from ...simulation.board import FRAME_TIMEOUT, Board, positive
 from ...simulation.custom_messages import CHUNK, simulated_values
 from . import DESCRIPTION, wire
@@ -124,7 +124,7 @@ class ControlBoard(Board):
                  ok_data: bytes = b'', custom: Iterable[wire.Function] = (),
                  announcement: Optional[bytes] = None) -> None:
         super().__init__(wire.RequestDecoder())
-        self._custom = {function.cmd2: function for function in custom}
+        self._custom = {function.number: function for function in custom}
         self._chunks = [] if announcement is None else chunks_of(announcement, CHUNK)
         self.lift = Axis(LIFT_START, LIFT_RANGE, lift_speed)
         self.pan = Axis(0, PAN_RANGE, gimbal_speed)
@@ -238,7 +238,7 @@ class ControlBoard(Board):
             return wire.Reply(wire.OK, self.environment(now).pack())
         if request.cmd2 in self._custom:
             return self._custom_function(self._custom[request.cmd2], request, now)
-        if request.cmd2 == wire.ANNOUNCEMENT.cmd2 and self._chunks:
+        if request.cmd2 == wire.ANNOUNCEMENT.number and self._chunks:
             if len(request.data) != 1 or request.data[0] >= len(self._chunks):
                 return _error(wire.MALFORMED)
             return wire.Reply(wire.OK, self._chunks[request.data[0]].pack())
@@ -268,12 +268,12 @@ class ControlBoard(Board):
 
     def _custom_function(self, function: wire.Function, request: wire.Request,
                          now: float) -> wire.Reply:
-        if not function.request.fits(len(request.data)):
+        if not function.layout.fits(len(request.data)):
             return _error(wire.MALFORMED)
-        values = function.request.unpack(request.data)
-        if function.request.implausible(values):
+        values = function.layout.unpack(request.data)
+        if function.layout.implausible(values):
             return _error(wire.OPERATION_FAILED)
-        self.line.say(f'{function.name} {function.request.text(values)}'.rstrip())
+        self.line.say(f'{function.name} {function.layout.text(values)}'.rstrip())
         return wire.Reply(wire.OK, function.reply.pack(simulated_values(function.reply, now)))
 
     def environment(self, now: float) -> wire.Environment:

@@ -10,22 +10,214 @@
 Flag 0xA5: standard frame, Datelen is one byte, under 255. Flag 0x5A: long frame, Datelen is a
 uint16, 255 or more. Datelen counts the DATE bytes. Checksum: XOR of every byte before it.
 Little-endian. doc/protocols.md lists the decisions where the source says nothing.
-messages.py has the messages; they can be imported from here, too.
 """
-from typing import Union
+from collections import namedtuple
+from dataclasses import dataclass
+from typing import Sequence, Tuple, Union
 
-from ...framing.stream import CHECKSUM, NO_FRAME, Bad, Good, Need, StreamDecoder, running_xor
-from .messages import (  # noqa: F401
-    ANNOUNCEMENT, ANY_DATA, BUILT_IN, CHECKSUM_MISMATCH, ECHO, ECHO_FUNCTION, ENVIRONMENT,
-    ENVIRONMENT_FUNCTION, ENVIRONMENT_REQUEST, ERROR, ERROR_TEXTS, FUNCTION, GIMBAL,
-    GIMBAL_FUNCTION, INVALID, LIFT, LIFT_FUNCTION, MALFORMED, NOT_SYNCHRONISED, NO_DATA, OK,
-    OPERATION_FAILED, RAW, REPLY_NAMES, REQUEST_NAMES, SYNC, SYNC_FUNCTION, SYNC_REQUEST, TOO_LONG,
-    UNSUPPORTED, Environment, Function, Reply, Request, built_in, describe_error, echo, gimbal,
-    lift)
+from ...framing import announcement
+from ...framing.layout import Layout, LayoutMessage, Value
+from ...framing.rows import Kind, Row
+from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, Bad, Good, Need,
+                               StreamDecoder, running_xor)
 
 STANDARD_FLAG = 0xA5
 LONG_FLAG = 0x5A
 MAX_LENGTH = 1024      # most DATE bytes accepted
+
+# CMD1 of a request; a SYNC or ECHO reply has the same.
+SYNC = 0x00
+ECHO = 0x01
+FUNCTION = 0x55        # CMD2 says which
+# CMD1 of a reply
+OK = 0x02              # executed
+ERROR = 0x03           # understood, and failed
+INVALID = 0xFF         # the frame was not accepted, nothing was executed
+# CMD2
+LIFT = 0x20
+GIMBAL = 0x21
+ENVIRONMENT = 0x22
+# error codes
+CHECKSUM_MISMATCH = 0x40
+NOT_SYNCHRONISED = 0x10
+UNSUPPORTED = 0x8000
+MALFORMED = 0x8001
+OPERATION_FAILED = 0x8002
+
+ERROR_TEXTS = {
+    CHECKSUM_MISMATCH: 'the checksum did not match',
+    0x20: 'the frame was too long for the board',
+    NOT_SYNCHRONISED: 'the channel is not synchronised',
+    UNSUPPORTED: 'the board does not support this command',
+    MALFORMED: 'the data is malformed',
+    OPERATION_FAILED: 'the operation failed',
+}
+REQUEST_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', FUNCTION: 'function'}
+REPLY_NAMES = {SYNC: 'SYNC', ECHO: 'ECHO', OK: 'OK', ERROR: 'ERROR', INVALID: 'INVALID'}
+
+ANY_DATA = Layout('<B*', [Value('DATE')])
+
+
+class Request(namedtuple('Request', 'cmd1 cmd2 data', defaults=(0, b''))):
+    """A request of the Master."""
+
+    text = ''     # of an own function's: its name and values
+
+    def __str__(self) -> str:
+        if self.text:
+            return self.text
+        if self.cmd1 == SYNC:
+            return 'SYNC'
+        if self.cmd1 == ECHO:
+            return f'ECHO {self.data.hex()}'
+        text = built_in(self, RAW).describe(self.data)
+        return text or f'request 0x{self.cmd1:02x} 0x{self.cmd2:02x} {self.data.hex()}'
+
+
+class Reply(namedtuple('Reply', 'cmd1 data cmd2', defaults=(b'', 0))):
+    """A reply of the Slave; a CMD2 only where replies carry one."""
+
+    text = ''     # of the OK to such a request
+
+    @property
+    def error_code(self) -> int:
+        """The code in an ERROR or INVALID, one or two bytes long; 0 if there is none."""
+        if self.cmd1 in (ERROR, INVALID):
+            return int.from_bytes(self.data[:2], 'little')
+        return 0
+
+    def __str__(self) -> str:
+        if self.text:
+            return self.text
+        name = REPLY_NAMES.get(self.cmd1, f'reply 0x{self.cmd1:02x}')
+        if self.cmd1 in (ERROR, INVALID):
+            return f'{name} {describe_error(self.error_code)}'
+        if self.cmd1 == OK and len(self.data) == Environment.LAYOUT.size:
+            return f'OK {self.data.hex()} (if environment: {Environment.unpack(self.data)})'
+        return f'{name} {self.data.hex()}'.rstrip()
+
+
+class Environment(LayoutMessage, namedtuple('Environment', 'smoke temperature humidity')):
+    """The DATE of an OK reply to the environment request: smoke raw, the rest in steps of 0.01."""
+
+    __slots__ = ()
+    LAYOUT = Layout('<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
+                             Value('humidity', '%', 0.01)])
+
+    @classmethod
+    def unpack(cls, data: bytes) -> 'Environment':
+        smoke, temperature, humidity = cls.LAYOUT.raw(data)
+        return cls(smoke, temperature / 100, humidity / 100)
+
+    def __str__(self) -> str:
+        return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'
+
+
+def describe_error(code: int) -> str:
+    """An error code as a number and in words."""
+    return f'0x{code:02x}: {ERROR_TEXTS.get(code, "not a code of the protocol")}'
+
+
+# -- functions -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Function(Row):
+    """One kind of request, built in or a row of ``bus/functions``, as all parts of the bridge see
+    it. doc/protocols.md explains what the flags mean for the Master."""
+
+    kind: Kind = Kind.FUNCTION
+    cmd1: int = FUNCTION
+    directions: Tuple[str, ...] = ()    # the values of the first byte of a move, in words
+    moves: bool = False          # it has the timeout bus/motion_timeout
+
+    def make_request(self, values: Sequence) -> Request:
+        """The request with these values; ValueError for one that does not fit, or out of range."""
+        reason = self.layout.implausible(values)
+        if reason:
+            raise ValueError(f'{self.name}: {reason}')
+        request = Request(self.cmd1, self.number, self.layout.pack(values))
+        if self.key:
+            request.text = f'{self.name} {self.layout.text(values)}'.rstrip()
+        return request
+
+    def describe(self, data: bytes) -> str:
+        """A built-in request with this DATE in words; '' if it does not fit."""
+        if self is ENVIRONMENT_FUNCTION and not data:
+            return 'environment?'
+        if self.directions and len(data) == 2 and data[0] < len(self.directions):
+            return f'{self.name} {self.directions[data[0]]} {data[1]} {self.layout.values[1].unit}'
+        return ''
+
+    def data_error(self, reply: Reply) -> Tuple[str, str]:
+        """The cause, LENGTH or IMPLAUSIBLE, and what is wrong with the DATE of an OK; '' if nothing
+        is. Where none is expected any is right: see rule 5 in doc/protocols.md."""
+        size = len(reply.data)
+        if reply.cmd1 != OK or self.reply.is_empty:
+            return '', ''
+        if not self.reply.fits(size):
+            return LENGTH, f'{size} bytes of data, {self.reply.sizes()} were expected'
+        return IMPLAUSIBLE, self.reply.implausible(self.reply.unpack(reply.data))
+
+    def name_reply(self, reply: Reply) -> Reply:
+        """The same reply. If the function has a key, the text of an OK with fitting data has the
+        function's name."""
+        if not self.key or reply.cmd1 != OK or not self.reply.fits(len(reply.data)):
+            return reply
+        named = Reply(*reply)
+        named.text = f'{self.name} OK {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
+        return named
+
+
+def _move(name: str, cmd2: int, directions: Tuple[str, ...], amount: Value) -> Function:
+    layout = Layout('<BB', [Value('direction', minimum=0, maximum=len(directions) - 1), amount])
+    return Function(name, cmd2, layout=layout, directions=directions, moves=True,
+                    ros_type='serial_communication/' + name.capitalize())
+
+
+RAW = Function('raw', layout=ANY_DATA, reply=ANY_DATA)    # any request of ~bus/request
+SYNC_FUNCTION = Function('sync', cmd1=SYNC, reply=ANY_DATA, repeatable=True)
+ECHO_FUNCTION = Function('echo', cmd1=ECHO, layout=ANY_DATA, reply=ANY_DATA, repeatable=True)
+LIFT_FUNCTION = _move('lift', LIFT, ('up', 'down'), Value('distance', 'mm'))
+GIMBAL_FUNCTION = _move('gimbal', GIMBAL, ('left', 'right', 'up', 'down'),
+                        Value('angle', 'degrees'))
+ENVIRONMENT_FUNCTION = Function('environment', ENVIRONMENT, reply=Environment.LAYOUT,
+                                repeatable=True)
+# Asks for one chunk of the board's announcement.
+ANNOUNCEMENT = Function(
+    'announcement', announcement.TYPE, layout=Layout('<B', [Value('index')]),
+    reply=announcement.Chunk.LAYOUT, repeatable=True, key='bus/announcements')
+
+BUILT_IN = {(function.cmd1, function.number): function for function in (
+    SYNC_FUNCTION, ECHO_FUNCTION, LIFT_FUNCTION, GIMBAL_FUNCTION, ENVIRONMENT_FUNCTION,
+    ANNOUNCEMENT)}
+
+
+def built_in(request: Request, otherwise: Function) -> Function:
+    """The built-in function that a request calls; else the other one."""
+    return BUILT_IN.get((request.cmd1, request.cmd2), otherwise)
+
+
+SYNC_REQUEST = SYNC_FUNCTION.make_request(())
+ENVIRONMENT_REQUEST = ENVIRONMENT_FUNCTION.make_request(())
+
+
+def lift(direction: int, distance: int) -> Request:
+    """A move of the lift: 0 up, 1 down; 0 … 255 mm. ValueError for any other value."""
+    return LIFT_FUNCTION.make_request((direction, distance))
+
+
+def gimbal(direction: int, angle: int) -> Request:
+    """A turn of the gimbal: 0 left, 1 right, 2 up, 3 down; 0 … 255 degrees. ValueError likewise."""
+    return GIMBAL_FUNCTION.make_request((direction, angle))
+
+
+def echo(data: bytes) -> Request:
+    """A request that the board answers with the same `data`."""
+    return Request(ECHO, 0, data)
+
+
+# -- frames ---------------------------------------------------------------------------------------
 
 
 def encode_request(request: Request, environment_datelen: int = 2) -> bytes:
@@ -65,11 +257,7 @@ class _Decoder(StreamDecoder):
     """Base of both directions, which differ in the number of CMD bytes and the typed message."""
 
     STARTS = bytes((STANDARD_FLAG, LONG_FLAG))
-    _commands = 1  # CMD bytes
-
-    def __init__(self, max_length: int = MAX_LENGTH) -> None:
-        super().__init__()
-        self._max_length = max_length
+    _commands = 1
 
     def _good(self, size: int, commands: bytes, data: bytes) -> Good:
         raise NotImplementedError
@@ -87,7 +275,7 @@ class _Decoder(StreamDecoder):
                 return Need(3)
             header, length = 3, buffer[at + 1] | buffer[at + 2] << 8
             is_invalid = length < 255
-        if is_invalid or length > self._max_length:
+        if is_invalid or length > MAX_LENGTH:
             return NO_FRAME
         size = header + self._commands + length + 1
         if left < size:
@@ -104,11 +292,10 @@ class ReplyDecoder(_Decoder):
 
     Args:
         has_cmd2: whether replies carry a CMD2.
-        max_length: most DATE bytes accepted.
     """
 
-    def __init__(self, has_cmd2: bool = False, max_length: int = MAX_LENGTH) -> None:
-        super().__init__(max_length)
+    def __init__(self, has_cmd2: bool = False) -> None:
+        super().__init__()
         self._commands = 2 if has_cmd2 else 1
 
     def _good(self, size: int, commands: bytes, data: bytes) -> Good:

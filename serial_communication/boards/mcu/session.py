@@ -3,7 +3,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Type
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
-from ...framing.settings import SettingMessage
+from ...framing.rows import SettingMessage
 from ...framing.stream import CHECKSUM, IMPLAUSIBLE, LENGTH, Frame
 from ...link.session import Packet, Session
 from ...link.settings import BoardSettings

@@ -15,8 +15,7 @@ import math
 from random import Random
 from typing import Any, Iterable, Optional, Sequence
 
-from ...framing.rows import Row, Setting
-from ...framing.settings import SettingMessage
+from ...framing.rows import Row, Setting, SettingMessage
 from ...framing.stream import Frame
 from ...simulation.board import Board, positive
 from ...simulation.custom_messages import CustomMessagePlayer

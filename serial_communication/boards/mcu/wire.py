@@ -16,7 +16,7 @@ from typing import Iterable, Optional, Type, Union
 from ...framing.announcement import Chunk
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type,
                                message_class)
-from ...framing.settings import SettingMessage
+from ...framing.rows import SettingMessage
 from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
                                StreamDecoder, running_xor)
 
@@ -128,15 +128,10 @@ class Decoder(StreamDecoder):
     def frame_at(self, at: int) -> Union[Good, Bad, Need]:
         buffer = self.buffer
         left = len(buffer) - at
-        if left < 2:
-            return Need(2)
-        length = buffer[at + 1]
-        if length < MIN_LEN:
-            return NO_FRAME
         if left < 3:
             return Need(3)
-        type_ = buffer[at + 2]
-        if _LENS.get(type_, length) != length:
+        length, type_ = buffer[at + 1], buffer[at + 2]
+        if length < MIN_LEN or _LENS.get(type_, length) != length:
             return NO_FRAME
         size = length + 4
         if left < size:

@@ -71,7 +71,7 @@ class Explainer:
         self._functions: Dict[Any, Any] = {}       # of the bus
         if isinstance(self.decoder, (bus.RequestDecoder, bus.ReplyDecoder)):
             rows = line.board.read_all(line.parameters)
-            self._functions = {**bus.BUILT_IN, **{(row.cmd1, row.cmd2): row for row in rows}}
+            self._functions = {**bus.BUILT_IN, **{(row.cmd1, row.number): row for row in rows}}
 
     def parts(self, raw: bytes, request: Any = None) -> List[Part]:
         """Return the parts of one frame, valid or not, incomplete, or of noise.
@@ -105,11 +105,11 @@ class Explainer:
                  'error code': bus.ERROR_TEXTS}
         layout = None
         if self._sent and cmd1 == bus.FUNCTION:
-            words['CMD2'] = {each.cmd2: each.name for each in self._functions.values()
+            words['CMD2'] = {each.number: each.name for each in self._functions.values()
                              if each.cmd1 == cmd1}
             function = self._functions.get((cmd1, cmd2))
             if function:
-                layout, words['direction'] = function.request, dict(enumerate(function.directions))
+                layout, words['direction'] = function.layout, dict(enumerate(function.directions))
             if raw[:5] == bus.encode_request(bus.ENVIRONMENT_REQUEST):
                 form = form._replace(beside=2)
                 words['Datelen'] = {2: 'an environment request has no DATE'}
@@ -124,7 +124,7 @@ class Explainer:
         """The layout of these data, and the names of all types; `type_` begins with its type."""
         messages = self.decoder.messages
         kind = messages.get(type_[0]) if type_ else None
-        return (kind and (kind.LAYOUT if kind is arduino.Log else kind.layout_of(data)),
+        return (kind and kind.layout_of(data),
                 {number: each.LABEL for number, each in messages.items()})
 
     def _cobs(self, raw: bytes, frame: Frame) -> List[Part]:

@@ -19,10 +19,8 @@ import time
 from datetime import datetime
 from typing import Any, Optional
 
-from ...framing.frame_timer import FrameTimer
-from ...framing.rows import Kind
-from ...framing.settings import message_of
-from ...framing.stream import Frame
+from ...framing.rows import Kind, message_of
+from ...framing.stream import Frame, FrameTimer
 from ...transport.port import Port, PortError
 from . import lines
 from .announced import Learner

@@ -6,7 +6,7 @@ from by_definition import xor_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol_cases import (BOARD_BUS, BUS, BUS_CMD2, DecoderKind, check_case, check_rejected,
+from protocol_cases import (BOARD_BUS, BUS, BUS_CMD2, check_case, check_rejected,
                             decode, hexed, vectors)
 from serial_communication.boards.bus import DESCRIPTION, wire as bus
 from serial_communication.framing.rows import RowError
@@ -105,24 +105,6 @@ def test_an_invalid_datelen_is_detected_at_once_and_the_next_frame_found(start):
     assert decoder.errors[FRAMING] == 1 and not decoder.pending
 
 
-@pytest.mark.parametrize('make', [bus.ReplyDecoder, bus.RequestDecoder])
-def test_max_length_is_a_limit_of_both_kinds_of_frame(make):
-    kind = DecoderKind('', lambda: make(max_length=300), 0, b'', b'', True)
-    small = DecoderKind('', lambda: make(max_length=100), 0, b'', b'', True)
-
-    def wire(size):
-        if make is bus.ReplyDecoder:
-            return bus.encode_reply(bus.Reply(bus.OK, bytes(size)))
-        return bus.encode_request(bus.Request(bus.ECHO, 0, bytes(size)))
-
-    assert len(decode(kind, wire(300))[0]) == 1
-    assert decode(kind, wire(301))[0] == []
-    assert len(decode(small, wire(100))[0]) == 1
-    frames, errors = decode(small, wire(101))
-    assert frames == [], 'a standard frame longer than max_length was accepted'
-    assert errors[FRAMING] >= 1 and errors[CHECKSUM] == 0
-
-
 # -- replies with CMD2, environment requests, error codes -------------------------------------
 
 def test_a_reply_may_carry_cmd2():
@@ -195,7 +177,7 @@ def test_texts_of_messages(message, text):
 @pytest.mark.parametrize('function', bus.BUILT_IN.values(), ids=lambda function: function.name)
 def test_no_row_may_take_what_a_built_in_function_has(function):
     if function.cmd1 == bus.FUNCTION:
-        row = {'cmd2': function.cmd2, 'srv_type': 'std_srvs/Trigger'}
+        row = {'cmd2': function.number, 'srv_type': 'std_srvs/Trigger'}
         with pytest.raises(RowError, match='from 0 to 254 but 32, 33, 34'):
             DESCRIPTION.read('functions', {'a': row})
 

@@ -25,7 +25,7 @@ FUNCTIONS = {
     'air': (bus.ENVIRONMENT_REQUEST, bus.ENVIRONMENT_FUNCTION),
     'raw': (bus.Request(bus.FUNCTION, 0x30, b'raw'), bus.RAW),
     'echo': (bus.echo(b'mine'), bus.ECHO_FUNCTION), 'sync': (bus.SYNC_REQUEST, bus.SYNC_FUNCTION),
-    **{function.name: (bus.Request(bus.FUNCTION, function.cmd2), function) for function in (
+    **{function.name: (bus.Request(bus.FUNCTION, function.number), function) for function in (
         bus.Function('press', 0x40), bus.Function('own', 0x44, origin=BOARD),
         bus.Function('read', 0x41, repeatable=True, reply=NUMBER),
         bus.Function('stop', 0x2F, repeatable=True, interrupts=True),

@@ -54,9 +54,9 @@ def test_rejected_vectors(case, cause):
 
 # -- LEN and TYPE ---------------------------------------------------------------------------------
 
-def test_a_len_under_2_is_detected_at_once():
+def test_a_len_under_2_is_detected_at_the_third_byte():
     decoder = mcu.Decoder()
-    decoder.feed(b'\x02\x01')
+    decoder.feed(b'\x02\x01\x10')
     assert not decoder.begun
     decoder.give_up()
     assert decoder.errors[FRAMING] == 1
