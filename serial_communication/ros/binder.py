@@ -16,9 +16,8 @@ from ..framing.rows import FILE, Kind, RowError, Setting, refuse_second_number
 from ..link.outcome import NOT_SENT, Outcome
 from .answers import fill_response
 from .commands import CommandTopic
-from .geometry import FrameBroadcaster
 from .latest_worker import LatestWorker
-from .publishing import publisher, wanted
+from .publishing import PoseTopic
 from .rows import ODOMETRY, RosRow, resolve, rows_in
 from .settings import SettingsServer, for_xml_rpc
 
@@ -38,42 +37,34 @@ class ValuePublisher:
     def __init__(self, ros_row: RosRow, p: Dict[str, Any]) -> None:
         row, ros_class = ros_row.row, ros_row.ros_class
         self._lock = threading.Lock()     # held while a message is published or the topic closed
-        self._topic = publisher(ros_row.name, ros_class)
         self._fields = ros_row.fields
         self._message = ros_row.fields.new()
         self._has_header = ros_class._has_header
-        self._broadcaster: Any = None
         if row.frame_id:
             self._message.header.frame_id = p['frame_prefix'] + row.frame_id
         if row.child_frame_id:
             self._message.child_frame_id = p['frame_prefix'] + row.child_frame_id
-            if p['publish_tf'] and ros_class._type == ODOMETRY:
-                self._broadcaster = FrameBroadcaster(self._message.header.frame_id,
-                                                     self._message.child_frame_id)
+        self._has_pose = bool(row.child_frame_id) and p['publish_tf'] \
+            and ros_class._type == ODOMETRY
+        self._topic: Any = PoseTopic(
+            ros_row.name, ros_class, (self._message.header.frame_id, self._message.child_frame_id)
+            if self._has_pose else None)
 
     def publish(self, values: Sequence, stamp: rospy.Time) -> None:
         """Publish a message with these values; do nothing once it is closed."""
         with self._lock:
-            topic, broadcaster = self._topic, self._broadcaster
-            if topic is None or not (wanted(topic) or broadcaster and broadcaster.is_wanted) \
-                    or self._fields.lacks(values):
+            if self._topic is None or not self._topic.is_wanted or self._fields.lacks(values):
                 return
             message = self._fields.fill(self._message, values)
             if self._has_header:
                 message.header.stamp = stamp
-            if wanted(topic):
-                topic.publish(message)
-            if broadcaster:
-                at, turn = message.pose.pose.position, message.pose.pose.orientation
-                broadcaster.send((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w), stamp)
+            self._topic.publish(message, stamp, message.pose.pose if self._has_pose else None)
 
     def close(self) -> None:
         """Unregister the topic; may be called from any thread, at any time."""
         with self._lock:
             topic, self._topic = self._topic, None
-        topic.unregister()
-        if self._broadcaster:
-            self._broadcaster.close()
+        topic.close()
 
 
 class Binder:

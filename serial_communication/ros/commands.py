@@ -15,6 +15,8 @@ from ..link.sparing_log import SparingLog
 
 _LABEL = 100                # characters of a command in a warning
 _MOST_PUBLISHERS = 1000     # names to remember; each call of rostopic has a new one
+# Marks that are kept in the header of a connection, which lives as long as that:
+_REPLACED, _HAS_SENT = 'serial_communication: replaced', 'serial_communication: has sent'
 
 
 class CommandTopic:
@@ -46,9 +48,8 @@ class CommandTopic:
         self._read, self._send, self._zero = read, send, zero
         self._log = log
         self._age_limit = age_limit if message_class._has_header else 0.0
-        self._latest: Dict[str, Any] = {}   # connection by publisher; the last to send comes last
+        self._known: Dict[str, None] = {}   # names of publishers; the last to send comes last
         self._older_publishers = _publishers(self._topic)
-        self._replaced: Dict[int, Any] = {}     # headers of older connections, by their id
         self._lock = threading.RLock()      # each connection has a thread; they wait for that
         self._subscriber: Any = None        # None: not subscribed yet, or closed
         with self._lock:
@@ -84,10 +85,9 @@ class CommandTopic:
         alive = [each.header for each in self._subscriber.impl.connections if each.header]
         sender = header.get('callerid', '')
         older = [each for each in alive if each.get('callerid', '') == sender][:-1]
-        ids = {id(each) for each in alive}
-        self._replaced = {id(each): each for each in (*self._replaced.values(), *older)
-                          if id(each) in ids}
-        return id(header) in self._replaced or id(header) not in ids
+        for each in older:
+            each[_REPLACED] = 'yes'
+        return _REPLACED in header or all(each is not header for each in alive)
 
     def _refuse_if_old(self, message: Any, command: Any) -> None:
         connection = message._connection_header     # one object for each connection
@@ -95,11 +95,13 @@ class CommandTopic:
         if self._is_replaced(connection):
             raise Refused(f'it was received on an old connection of {sender}; only the newest '
                           f'connection to {self._topic} is used', 'old connection')
-        known = sender in self._latest
-        is_first = self._latest.pop(sender, None) is not connection
-        self._latest[sender] = connection
-        if len(self._latest) > _MOST_PUBLISHERS:
-            del self._latest[next(iter(self._latest))]
+        known = sender in self._known
+        is_first = _HAS_SENT not in connection
+        connection[_HAS_SENT] = 'yes'
+        self._known.pop(sender, None)
+        self._known[sender] = None
+        if len(self._known) > _MOST_PUBLISHERS:
+            del self._known[next(iter(self._known))]
         if command == self._zero:
             return
         if is_first and connection.get('latching') == '1' \

@@ -3,10 +3,10 @@ import struct
 from typing import Any, Dict, List, Optional, Sequence
 
 import rospy
+from geometry_msgs.msg import Pose
 from sensor_msgs.msg import Imu
 
-from .geometry import FrameBroadcaster
-from .publishing import publisher, wanted
+from .publishing import PoseTopic
 
 _HEAD = struct.Struct('<4I')        # seq, stamp, length of frame_id
 _NUMBERS = struct.Struct('<37d')
@@ -45,20 +45,20 @@ class ImuTopic:
                  acceleration: Optional[float] = None) -> None:
         level = p['roll_pitch_stdev']
         self._message = PackedImu()
+        self._pose = Pose(orientation=self._message.orientation)
         self._message.header.frame_id = p['imu_frame_id']
         self._message.orientation_covariance = _covariance(level, level, p['yaw_stdev'])
         self._message.angular_velocity_covariance = \
             _NOT_MEASURED if rate is None else _covariance(rate, rate, rate)
         self._message.linear_acceleration_covariance = \
             _NOT_MEASURED if acceleration is None else _covariance(*[acceleration] * 3)
-        self._topic = publisher(name, Imu)
-        self._broadcaster = FrameBroadcaster(
-            p['imu_frame_id'], p['imu_orientation_frame_id']) if p['publish_tf'] else None
+        self._topic = PoseTopic(name, Imu, (p['imu_frame_id'], p['imu_orientation_frame_id'])
+                                if p['publish_tf'] else None)
 
     @property
     def is_wanted(self) -> bool:
         """Whether anything would be published."""
-        return wanted(self._topic) or bool(self._broadcaster and self._broadcaster.is_wanted)
+        return self._topic.is_wanted
 
     def publish(self, stamp: rospy.Time, orientation: Sequence[float],
                 rate: Sequence[float] = (0.0, 0.0, 0.0),
@@ -71,9 +71,7 @@ class ImuTopic:
         at.x, at.y, at.z, at.w = orientation
         turn.x, turn.y, turn.z = rate
         force.x, force.y, force.z = acceleration
-        self._topic.publish(message)
-        if self._broadcaster:
-            self._broadcaster.send((0.0, 0.0, 0.0), orientation, stamp)
+        self._topic.publish(message, stamp, self._pose)
 
 
 def _covariance(x: float, y: float, z: float) -> List[float]:

@@ -9,7 +9,7 @@ import sys
 import time
 from contextlib import suppress
 from functools import partial
-from typing import Any, Dict, Tuple
+from typing import Any, Callable, Dict, Tuple
 
 import rospy
 from rospy.impl import tcpros_base
@@ -24,13 +24,14 @@ from ..link.outcome import Refused
 from ..link.sparing_log import SparingLog
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
-from . import direct, logs, parameters, starting
-from .diagnostics import Diagnostics, log_fault
-from .geometry import publish_mounts
+from . import direct, logs, parameters
+from .diagnostics import log_fault, publish_diagnostics
 from .interface import LinkOptions
 from .latest_worker import LatestWorker
-from .master import full_name, restart, running_node, started_by_roslaunch, watch_master
+from .master import (NAME_TAKEN, check_arguments, empty_ports, end_within, full_name, restart,
+                     running_node, watch_master)
 from .parameter import ParameterError
+from .publishing import publish_mounts
 from .settings import PARAMETER as SETTINGS
 from .settings import wanted_values
 from .stop import Stop
@@ -44,25 +45,25 @@ _CLOSES = 1.5               # s for a link to close a port that is lent
 _ANSWERED = 0.1             # s for the answers of calls that have ended to leave
 _WORKER_PAUSE = 0.1         # s: settings, and announcements, may change all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
-_PARAMETERS = 'SERIAL_COMMUNICATION_PARAMETERS'   # environment of a restart: the parameters, JSON
-_STOPPED = 'SERIAL_COMMUNICATION_STOPPED'      # likewise: not empty while ~stop holds
+# Environment of a restart, JSON: the parameters, and whether ~stop holds.
+_BEFORE = 'SERIAL_COMMUNICATION_BEFORE'
 _LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
 
 
 def main() -> None:
     """Run until ROS or a signal ends the node, then exit."""
     prepare_output()
-    starting.check_arguments(sys.argv[1:])
+    check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     name = full_name(_NAME)
-    rospy.on_shutdown(partial(starting.end_within, _LAST_RESORT, 0))
+    rospy.on_shutdown(partial(end_within, _LAST_RESORT, 0))
     status = 1
     try:
         status = _run(name)
     except KeyboardInterrupt:
         status = 0
     finally:
-        starting.end_within(_LAST_RESORT, status)
+        end_within(_LAST_RESORT, status)
         if not logs.finish():
             os._exit(status)
     sys.exit(status)
@@ -74,7 +75,7 @@ def _run(name: str) -> int:
         print(f'{name} is already running ({address}); end that node first (rosnode kill {name}), '
               'or give this one another name (name:=NAME for the launch file, __name:=NAME for the '
               'node)', file=sys.stderr)
-        return starting.NAME_TAKEN
+        return NAME_TAKEN
     try:
         rospy.init_node(_NAME)
         logs.queue_lines()
@@ -90,22 +91,23 @@ def _run(name: str) -> int:
         return 0
     except ParameterError as error:
         rospy.logfatal(error)
-        while started_by_roslaunch() and not rospy.is_shutdown():
-            time.sleep(0.1)     # roslaunch would start it again, with the same mistake
+        # roslaunch, which names each node's log file, would start it again, with the same mistake.
+        while any(each.startswith('__log:=') for each in sys.argv) and not rospy.is_shutdown():
+            time.sleep(0.1)
         return 1
     rospy.spin()
     return 0
 
 
 def _start() -> None:
-    given = _given()
+    given, is_stopped = _given()
     values, warnings = parameters.check(given, rospy.get_name())
     for board in values['boards']:      # what they announced in an earlier run
         if given.get(board.NAME, {}).pop(ANNOUNCED, None) is not None:
             rospy.delete_param(f'~{board.NAME}/{ANNOUNCED}')
     for warning in warnings:
         rospy.logwarn(warning)
-    bridge = Bridge(values, given, parameters.resolved_names(values, given))
+    bridge = Bridge(values, given, parameters.resolved_names(values, given), is_stopped)
     rospy.on_shutdown(bridge.stop)
     if rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
         return
@@ -116,14 +118,14 @@ def _start() -> None:
     watch_master(bridge.start_again)
 
 
-def _given() -> Any:
-    """Return the node's private parameters, as they are given."""
-    before = os.environ.pop(_PARAMETERS, '')
-    if before:      # a new master does not have them
-        rospy.set_param('~', json.loads(before))
-    for name in set(starting.empty_ports()) & set(BOARDS):
+def _given() -> Tuple[Any, bool]:
+    """Return the node's private parameters, as they are given, and whether ~stop holds already."""
+    given, is_stopped = json.loads(os.environ.pop(_BEFORE, '[{}, false]'))
+    if given:      # a new master does not have them
+        rospy.set_param('~', given)
+    for name in set(empty_ports()) & set(BOARDS):
         rospy.set_param(f'~{name}/port', '')
-    return rospy.get_param('~', {})
+    return rospy.get_param('~', {}), is_stopped
 
 
 def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
@@ -131,25 +133,26 @@ def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
     return rospy.Time(0, max(stamp.to_nsec() - int(seconds * 1e9), 0))
 
 
-def _offer_lending(link: Link) -> None:
-    """Offer the services; each answers whether it is done, and what to say."""
-    def release(request: Any) -> Tuple[bool, str]:
+def _offer(name: str, service_class: Any, call: Callable[[Any], str]) -> None:
+    """Offer a service that answers whether it is done, and what to say."""
+    def handle(request: Any) -> Tuple[bool, str]:
         try:
-            text = link.lending.lend(request.by, request.seconds)
-        except Refused as refused:
-            return False, str(refused)
-        if request.seconds and not link.lending.closed.wait(_CLOSES):
-            return False, 'the link did not close its port in time'
-        return True, text
-
-    def reset(_request: Any) -> Tuple[bool, str]:
-        try:
-            return True, link.lending.reset()
+            return True, call(request)
         except Refused as refused:
             return False, str(refused)
 
-    rospy.Service(f'~{link.name}/release', Release, release)
-    rospy.Service(f'~{link.name}/reset', Trigger, reset)
+    rospy.Service(name, service_class, handle)
+
+
+def _release(link: Link, request: Any) -> str:
+    text = link.lending.lend(request.by, request.seconds)
+    if request.seconds and not link.lending.closed.wait(_CLOSES):
+        raise Refused('the link did not close its port in time', 'time')
+    return text
+
+
+def _reset(link: Link, _request: Any) -> str:
+    return link.lending.reset()
 
 
 def _accept_all_calls() -> None:
@@ -166,9 +169,11 @@ class Bridge:
         p: the checked parameters.
         given: the same parameters as they were given.
         names: the resolved names of topics and services, and whose each is.
+        is_stopped: whether ~stop holds from the start.
     """
 
-    def __init__(self, p: dict, given: dict, names: Dict[str, str]) -> None:
+    def __init__(self, p: dict, given: dict, names: Dict[str, str],
+                 is_stopped: bool) -> None:
         self._given = given
         self._longest_call = p['bus/motion_timeout']
         link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER, _earlier)
@@ -179,23 +184,22 @@ class Bridge:
                         f'off, because no port is set: {", ".join(off)} (bridge.launch: if a port '
                         'is given as an argument, links without a port argument are off)')
         boards = [(board, values) for board, values in boards if values['port']]
-        self._interfaces = []
-        for board, values in boards:
-            self._interfaces.append(board(values, link_options))
-            self._interfaces[-1].link.lending.reset_line = values['reset_line']
+        self._interfaces = [board(values, link_options) for board, values in boards]
+        for interface, (_, values) in zip(self._interfaces, boards):
+            interface.link.lending.reset_line = values['reset_line']
         self._links = sorted((interface.link for interface in self._interfaces),
                              key=lambda link: not link.session.STOPS_FIRST)
-        self._mounts = publish_mounts(p['base_frame_id'], {
+        publish_mounts(p['base_frame_id'], {
             values[f'{name}_frame_id']: values[f'{name}_mount']
             for board, values in boards for name in board.MOUNTS})
-        self._stop = Stop(self._links, bool(os.environ.pop(_STOPPED, '')))
-        self._traffic = Traffic(self._links, _LOGGER)
-        self._diagnostics = Diagnostics(self._links, _LOGGER)
+        self._stop = Stop(self._links, is_stopped)
+        Traffic(self._links, _LOGGER)
         self._worker = LatestWorker('rows', _WORKER_PAUSE,
                                     partial(log_fault, SparingLog('rows', _LOGGER)))
-        binders = [each.binder for each in self._interfaces if each.binder]
-        for binder in binders:
-            binder.serve(self._worker, names, p[SETTINGS].get(binder.link.name, {}))
+        for interface in self._interfaces:
+            if interface.binder:
+                interface.binder.serve(self._worker, names,
+                                       p[SETTINGS].get(interface.link.name, {}))
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -207,10 +211,12 @@ class Bridge:
         self._stop.advertise()
         for interface in self._interfaces:
             interface.advertise()
-            _offer_lending(interface.link)
+            link = interface.link
+            _offer(f'~{link.name}/release', Release, partial(_release, link))
+            _offer(f'~{link.name}/reset', Trigger, partial(_reset, link))
         _accept_all_calls()
         self._worker.start()
-        self._diagnostics.start()
+        publish_diagnostics(self._links, _LOGGER)
 
     def stop(self) -> None:
         """Send SPEED 0 first, then stop everything; takes 1 s at most, even if a port hangs."""
@@ -233,5 +239,5 @@ class Bridge:
         self.stop()
         time.sleep(_ANSWERED)
         wanted = {**self._given.get(SETTINGS, {}), **wanted_values(self._links)}
-        restart({_PARAMETERS: json.dumps({**self._given, SETTINGS: wanted}, default=str),
-                 _STOPPED: 'yes' if self._stop.holds else ''})
+        restart({_BEFORE: json.dumps([{**self._given, SETTINGS: wanted}, self._stop.holds],
+                                     default=str)})

@@ -10,8 +10,7 @@ from serial_communication.msg import SerialMsg
 
 from ..framing.stream import Frame
 from ..link.link import Link
-from ..link.sparing_log import SparingLog
-from .diagnostics import log_fault
+from .diagnostics import repeat
 from .publishing import publisher, wanted
 
 _QUEUED = 2000   # frames that may wait for the thread; newer ones are dropped
@@ -25,41 +24,30 @@ class Traffic(rospy.SubscribeListener):
 
     def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
         super().__init__()
-        self._log = SparingLog('serial_msg', logger)
         self._links = list(links)
         # put() never blocks.
         self._queue: 'queue.SimpleQueue[Tuple[str, int, Frame]]' = queue.SimpleQueue()
         self._lock = threading.Lock()
         with self._lock:        # rospy may call `peer_subscribe` at once
             self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
-        threading.Thread(target=self._run, name='serial_msg', daemon=True).start()
-        self._look()        # others may have subscribed before rospy had the listener
+        repeat('serial_msg', self._publish, logger)
+        self.peer_subscribe()   # others may have subscribed before rospy had the listener
 
     def peer_subscribe(self, *_: Any) -> None:
         """Called by rospy."""
-        self._look()
-
-    peer_unsubscribe = peer_subscribe
-
-    def _look(self) -> None:
         with self._lock:
             tap = self._enqueue if wanted(self._topic) else None
             for link in self._links:
                 link.traffic.tap = tap
 
+    peer_unsubscribe = peer_subscribe
+
     def _enqueue(self, link: str, direction: int, frame: Frame) -> None:
         if self._queue.qsize() < _QUEUED:
             self._queue.put((link, direction, frame))
 
-    def _run(self) -> None:
-        while True:
-            frame = self._queue.get()
-            try:
-                self._publish(*frame)
-            except Exception as error:  # pylint: disable=broad-except
-                log_fault(self._log, error)
-
-    def _publish(self, link: str, direction: int, frame: Frame) -> None:
+    def _publish(self) -> None:
+        link, direction, frame = self._queue.get()
         message = SerialMsg(link=link, direction=direction, type=frame.type,
                             command=frame.number, data=frame.data, frame=frame.raw,
                             text=frame.text, error=frame.trouble)

@@ -22,8 +22,8 @@ import tornado.ioloop
 from ...link.sparing_log import SparingLog
 from ...ros import logs
 from ...ros.latest_worker import LatestWorker
-from ...ros.master import full_name, restart, running_node, watch_master
-from ...ros.starting import NAME_TAKEN, end_within
+from ...ros.master import (NAME_TAKEN, end_within, full_name, restart, running_node,
+                           watch_master)
 from ..watch.master import wait_for_master
 from .addresses import free_port, listen, listener, listen_near, page_address, qr_code
 from .cli import DEFAULT_PORT, print_error
