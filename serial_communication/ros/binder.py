@@ -16,7 +16,7 @@ from ..framing.rows import FILE, Kind, RowError, Setting, refuse_second_number
 from ..link.outcome import NOT_SENT, Outcome
 from .answers import fill_response
 from .commands import CommandTopic
-from .latest_worker import LatestWorker
+from .background import LatestWorker
 from .publishing import PoseTopic
 from .rows import ODOMETRY, RosRow, resolve, rows_in
 from .settings import SettingsServer, for_xml_rpc

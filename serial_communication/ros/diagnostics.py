@@ -1,36 +1,14 @@
 """Publishes /diagnostics: one status for each link, once a second by the monotonic clock."""
 import logging
-import threading
 import time
-from typing import Any, Callable, Iterable
+from typing import Any, Iterable
 
-import rospy
 from diagnostic_updater import Updater
 
 from ..link.link import Link
-from ..link.sparing_log import SparingLog
+from .background import repeat
 
 _PERIOD = 1.0   # s
-
-
-def log_fault(log: SparingLog, error: Exception) -> None:
-    """Log an unexpected error of a thread that continues, unless rospy has shut down."""
-    if not rospy.is_shutdown():
-        log.error('fault', f'fault in the bridge: {error!r}')
-
-
-def repeat(name: str, function: Callable[[], None], logger: logging.Logger) -> None:
-    """Call a function again and again in a thread of this name; what it raises is logged."""
-    log = SparingLog(name, logger)
-
-    def run() -> None:
-        while True:
-            try:
-                function()
-            except Exception as error:  # pylint: disable=broad-except
-                log_fault(log, error)
-
-    threading.Thread(target=run, name=name, daemon=True).start()
 
 
 def publish_diagnostics(links: Iterable[Link], logger: logging.Logger) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Callable, Dict, Tuple
 
 import rospy
 from rospy.impl import tcpros_base
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger
 
 from serial_communication.srv import Release
 
@@ -21,20 +21,19 @@ from ..boards import BOARDS
 from ..boards.description import ANNOUNCED
 from ..link.link import Link
 from ..link.outcome import Refused
-from ..link.sparing_log import SparingLog
+from ..link.writer import STALLED
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import direct, logs, parameters
-from .diagnostics import log_fault, publish_diagnostics
-from .interface import LinkOptions
-from .latest_worker import LatestWorker
+from .diagnostics import publish_diagnostics
+from .interface import LOGGER
+from .background import LatestWorker
 from .master import (NAME_TAKEN, check_arguments, empty_ports, end_within, full_name, restart,
                      running_node, watch_master)
 from .parameter import ParameterError
 from .publishing import publish_mounts
 from .settings import PARAMETER as SETTINGS
 from .settings import wanted_values
-from .stop import Stop
 from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
@@ -43,11 +42,9 @@ _PRIORITY = 1               # real-time priority of all threads, if the system a
 _SHUTDOWN = 1.0             # s for all links to end
 _CLOSES = 1.5               # s for a link to close a port that is lent
 _ANSWERED = 0.1             # s for the answers of calls that have ended to leave
-_WORKER_PAUSE = 0.1         # s: settings, and announcements, may change all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
 # Environment of a restart, JSON: the parameters, and whether ~stop holds.
 _BEFORE = 'SERIAL_COMMUNICATION_BEFORE'
-_LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
 
 
 def main() -> None:
@@ -128,11 +125,6 @@ def _given() -> Tuple[Any, bool]:
     return rospy.get_param('~', {}), is_stopped
 
 
-def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
-    """Return the time so many seconds before `stamp`; ROS has none before 0."""
-    return rospy.Time(0, max(stamp.to_nsec() - int(seconds * 1e9), 0))
-
-
 def _offer(name: str, service_class: Any, call: Callable[[Any], str]) -> None:
     """Offer a service that answers whether it is done, and what to say."""
     def handle(request: Any) -> Tuple[bool, str]:
@@ -172,19 +164,17 @@ class Bridge:
         is_stopped: whether ~stop holds from the start.
     """
 
-    def __init__(self, p: dict, given: dict, names: Dict[str, str],
-                 is_stopped: bool) -> None:
+    def __init__(self, p: dict, given: dict, names: Dict[str, str], is_stopped: bool) -> None:
         self._given = given
         self._longest_call = p['bus/motion_timeout']
-        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER, _earlier)
         boards = [(board, parameters.of_board(board, p)) for board in p['boards']]
         off = [board.NAME for board, values in boards if not values['port']]
         if off:
-            _LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
-                        f'off, because no port is set: {", ".join(off)} (bridge.launch: if a port '
-                        'is given as an argument, links without a port argument are off)')
+            LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
+                       f'off, because no port is set: {", ".join(off)} (bridge.launch: if a port '
+                       'is given as an argument, links without a port argument are off)')
         boards = [(board, values) for board, values in boards if values['port']]
-        self._interfaces = [board(values, link_options) for board, values in boards]
+        self._interfaces = [board(values) for board, values in boards]
         for interface, (_, values) in zip(self._interfaces, boards):
             interface.link.lending.reset_line = values['reset_line']
         self._links = sorted((interface.link for interface in self._interfaces),
@@ -192,10 +182,9 @@ class Bridge:
         publish_mounts(p['base_frame_id'], {
             values[f'{name}_frame_id']: values[f'{name}_mount']
             for board, values in boards for name in board.MOUNTS})
-        self._stop = Stop(self._links, is_stopped)
-        Traffic(self._links, _LOGGER)
-        self._worker = LatestWorker('rows', _WORKER_PAUSE,
-                                    partial(log_fault, SparingLog('rows', _LOGGER)))
+        self._hold(is_stopped)
+        Traffic(self._links, LOGGER)
+        self._worker = LatestWorker('rows', LOGGER)
         for interface in self._interfaces:
             if interface.binder:
                 interface.binder.serve(self._worker, names,
@@ -208,7 +197,7 @@ class Bridge:
         set_priority_of_all(_PRIORITY)
         for link in self._links:
             link.start()
-        self._stop.advertise()
+        rospy.Service('~stop', SetBool, self._stop_all)
         for interface in self._interfaces:
             interface.advertise()
             link = interface.link
@@ -216,7 +205,28 @@ class Bridge:
             _offer(f'~{link.name}/reset', Trigger, partial(_reset, link))
         _accept_all_calls()
         self._worker.start()
-        publish_diagnostics(self._links, _LOGGER)
+        publish_diagnostics(self._links, LOGGER)
+
+    def _stop_all(self, request: SetBoolRequest) -> SetBoolResponse:
+        """The service ~stop."""
+        if request.data:
+            self._hold(True)      # all links first: from now on nothing moves again
+            failures = [f'{link.name}: {failure}' for link in self._links
+                        for failure in [link.stop_motion()] if failure]
+            rospy.logwarn('~stop: all that moves is stopped until ~stop is called with data: '
+                          + '; '.join(['false', *failures]))
+            return SetBoolResponse(not failures, '; '.join(failures) or 'stopped')
+        if not all(link.writer.fresh.is_fresh(link.now()) for link in self._links):
+            return SetBoolResponse(False, STALLED)
+        if self._is_stopped:
+            rospy.loginfo('~stop: released')
+        self._hold(False)
+        return SetBoolResponse(True, 'released')
+
+    def _hold(self, is_stopped: bool) -> None:
+        self._is_stopped = is_stopped
+        for link in self._links:
+            link.session.is_stopped = is_stopped
 
     def stop(self) -> None:
         """Send SPEED 0 first, then stop everything; takes 1 s at most, even if a port hangs."""
@@ -239,5 +249,5 @@ class Bridge:
         self.stop()
         time.sleep(_ANSWERED)
         wanted = {**self._given.get(SETTINGS, {}), **wanted_values(self._links)}
-        restart({_BEFORE: json.dumps([{**self._given, SETTINGS: wanted}, self._stop.holds],
+        restart({_BEFORE: json.dumps([{**self._given, SETTINGS: wanted}, self._is_stopped],
                                      default=str)})

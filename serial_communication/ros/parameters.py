@@ -41,12 +41,8 @@ def table(interfaces: List[Type[Interface]]) -> Parameters:
     """Return all parameters by full name; a board's are in a group with the board's name."""
     return {**NODE_PARAMETERS, **{f'{interface.NAME}/{name}': parameter
                                   for interface in interfaces
-                                  for name, parameter in _of_interface(interface).items()}}
-
-
-def _of_interface(interface: Type[Interface]) -> Parameters:
-    """Its parameters, and the one that every board has."""
-    return {'reset_line': RESET_LINE, **interface.PARAMETERS}
+                                  for name, parameter in {'reset_line': RESET_LINE,
+                                                          **interface.PARAMETERS}.items()}}
 
 
 PARAMETERS = table(BUILT_IN)
@@ -86,8 +82,9 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
 
 def of_board(interface: Type[Interface], values: Dict[str, Any]) -> Dict[str, Any]:
     """Return the values for an interface: the board's without their group, and the node's."""
-    own = {name: values[f'{interface.NAME}/{name}'] for name in _of_interface(interface)}
-    return {**{name: values[name] for name in NODE_PARAMETERS}, **own}
+    prefix = interface.NAME + '/'
+    return {name[len(prefix):] if name.startswith(prefix) else name: value
+            for name, value in values.items() if '/' not in name or name.startswith(prefix)}
 
 
 def resolved_names(values: Dict[str, Any], given: Dict[str, Any]) -> Dict[str, str]:

@@ -16,7 +16,7 @@ from ..framing.layout import FRACTIONS
 from ..framing.rows import RowError, Setting
 from ..link.link import Link
 from ..link.settings import Shown
-from .latest_worker import LatestWorker
+from .background import LatestWorker
 from .parameter import ParameterError
 from .publishing import publisher
 

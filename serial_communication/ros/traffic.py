@@ -10,7 +10,7 @@ from serial_communication.msg import SerialMsg
 
 from ..framing.stream import Frame
 from ..link.link import Link
-from .diagnostics import repeat
+from .background import repeat
 from .publishing import publisher, wanted
 
 _QUEUED = 2000   # frames that may wait for the thread; newer ones are dropped

@@ -7,14 +7,15 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Bool, Header
 from std_srvs.srv import Empty, EmptyResponse
 
+from ...link.link import Link
 from ...link.outcome import Refused
+from ...link.sparing_log import SparingLog
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
-from ...ros.interface import LinkOptions, Interface
+from ...ros.interface import LOGGER, Interface, link_arguments
 from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
 from ...ros.publishing import publisher, wanted
 from ...ros.rows import row_parameters
-from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .session import CarOptions, CarSession
 
@@ -52,7 +53,7 @@ class ArduinoInterface(Interface):
     MOUNTS = ('imu',)
     binder: Binder
 
-    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
+    def __init__(self, parameters: Dict[str, Any]) -> None:
         p = parameters
         self._gyro_scale = p['gyro_scale']
         self._imu = ImuTopic('~imu', p, p['angular_velocity_stdev'],
@@ -63,11 +64,10 @@ class ArduinoInterface(Interface):
         self._calibrating.publish(False)
         options = CarOptions(**{name: p[name] for name in CarOptions._fields})
         session = CarSession(
-            link_options.log(self.NAME), options, on_message=self._received,
+            SparingLog(self.NAME, LOGGER), options, on_message=self._received,
             on_log=self._log, on_calibrating=lambda on: self._calibrating.publish(on),
             byte_time=10.0 / p['baud'])
-        self.link = link_options.link(Port(p['port'], p['baud'], p['reset_on_open']), session,
-                                      p['board_time'])
+        self.link = Link(session=session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
 
     def advertise(self) -> None:

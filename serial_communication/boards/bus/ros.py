@@ -10,14 +10,12 @@ from serial_communication.msg import Environment
 from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnvironment,
                                       GetEnvironmentResponse)
 
-from ...link.outcome import Outcome
 from ...ros.answers import fill_response
 from ...ros.binder import Binder
-from ...ros.interface import LinkOptions, Interface
+from ...ros.interface import LOGGER, Interface, link_arguments
 from ...ros.parameter import PORT, Parameter, baud, seconds
 from ...ros.publishing import publisher, wanted
 from ...ros.rows import row_parameters
-from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .link import BusLink, BusSettings
 
@@ -42,12 +40,11 @@ class BusInterface(Interface):
     }
     link: BusLink
 
-    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
+    def __init__(self, parameters: Dict[str, Any]) -> None:
         p = parameters
         self.link = BusLink(
-            Port(p['port'], p['baud']),
-            BusSettings(**{name: p[name] for name in BusSettings._fields}),
-            on_environment=self._publish_environment, **link_options._asdict())
+            settings=BusSettings(**{name: p[name] for name in BusSettings._fields}),
+            on_environment=self._publish_environment, logger=LOGGER, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
@@ -57,8 +54,9 @@ class BusInterface(Interface):
     def advertise(self) -> None:
         """Offer the services that no row describes."""
         rospy.Service('~get_environment', GetEnvironment, self._get_environment)
-        rospy.Service('~bus/echo', Trigger, self._echo)
-        rospy.Service('~bus/sync', Trigger, self._sync)
+        rospy.Service('~bus/echo', Trigger,
+                      lambda _request: self._trigger(wire.ECHO_FUNCTION, os.urandom(4)))
+        rospy.Service('~bus/sync', Trigger, lambda _request: self._trigger(wire.SYNC_FUNCTION))
         rospy.Service('~bus/request', BusRequest, self._request)
 
     def _get_environment(self, _request: Any) -> GetEnvironmentResponse:
@@ -76,18 +74,12 @@ class BusInterface(Interface):
         response.data = outcome.data
         return response
 
-    def _echo(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.call(wire.ECHO_FUNCTION, (os.urandom(4),))
-        return self._trigger(outcome, f'{outcome.round_trip * 1e3:.2f} ms')
-
-    def _sync(self, _request: Any) -> TriggerResponse:
-        return self._trigger(self.link.call(wire.SYNC_FUNCTION, ()), 'synchronised')
-
-    @staticmethod
-    def _trigger(outcome: Outcome, done: str) -> TriggerResponse:
+    def _trigger(self, function: wire.Function, *values: bytes) -> TriggerResponse:
+        """Call a function; the response's message is the round trip."""
+        outcome = self.link.call(function, values)
         response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
-            response.message = done
+            response.message = f'{outcome.round_trip * 1e3:.2f} ms'
         return response
 
     def _publish_environment(self, reading: wire.Environment, stamp: rospy.Time) -> None:

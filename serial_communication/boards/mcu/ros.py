@@ -9,14 +9,15 @@ from serial_communication.msg import McuStatus, McuStatus2
 
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
+from ...link.link import Link
+from ...link.sparing_log import SparingLog
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
-from ...ros.interface import LinkOptions, Interface
+from ...ros.interface import LOGGER, Interface, link_arguments
 from ...ros.parameter import (MOUNT, PORT, RESET_LINE, Parameter, ParameterError, baud,
                               frame_id, seconds)
 from ...ros.publishing import publisher, wanted
 from ...ros.rows import row_parameters
-from ...transport.port import Port
 from . import DESCRIPTION, wire
 from .session import SensorSession
 
@@ -52,7 +53,7 @@ class McuInterface(Interface):
     MOUNTS = ('imu', 'range_1', 'range_2')
     binder: Binder
 
-    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
+    def __init__(self, parameters: Dict[str, Any]) -> None:
         p = parameters
         if p['min_range'] >= p['max_range']:
             raise ParameterError(f'parameter {rospy.resolve_name("~mcu/min_range")} is '
@@ -65,9 +66,9 @@ class McuInterface(Interface):
         self._adc_status = publisher('mcu/adc_status', McuStatus)
         self._imu = ImuTopic('mcu/imu', p)
         self._session = SensorSession(
-            link_options.log(self.NAME), p['timeout'], on_status=self._received,
+            SparingLog(self.NAME, LOGGER), p['timeout'], on_status=self._received,
             on_silence=self._silent, network_silence=p['network_silence'])
-        self.link = link_options.link(Port(p['port'], p['baud']), self._session, p['board_time'])
+        self.link = Link(session=self._session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:

@@ -12,7 +12,6 @@ import socket
 import sys
 import threading
 import time
-import traceback
 from typing import Callable, List
 
 import rosgraph
@@ -21,7 +20,7 @@ import tornado.ioloop
 
 from ...link.sparing_log import SparingLog
 from ...ros import logs
-from ...ros.latest_worker import LatestWorker
+from ...ros.background import LatestWorker
 from ...ros.master import (NAME_TAKEN, end_within, full_name, restart, running_node,
                            watch_master)
 from ..watch.master import wait_for_master
@@ -125,9 +124,7 @@ def _serve(options: argparse.Namespace) -> int:
     loop = tornado.ioloop.IOLoop.current()
     log = SparingLog('panel', logging.getLogger('rosout'))
     node = rospy.resolve_name(options.node)
-    # The pause: a page may change what it shows 100 times a second.
-    registrar = LatestWorker('registrar', 0.1, lambda _error: log.error(
-        'registering', traceback.format_exc()))
+    registrar = LatestWorker('registrar', logging.getLogger('rosout'))
     registrar.start()
     commands = Commands(node, registrar, loop.add_callback, loop.call_later) \
         if options.control else None
