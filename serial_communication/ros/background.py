@@ -39,15 +39,11 @@ class LatestWorker:
     """
 
     def __init__(self, name: str, logger: logging.Logger) -> None:
-        self._name, self._logger = name, logger
         self._log = SparingLog(name, logger)
         self._waiting: Dict[Callable[..., None], Tuple] = {}
         self._lock = threading.Lock()
         self._wake = threading.Event()
-
-    def start(self) -> None:
-        """Start the thread; what was submitted before is called, too."""
-        repeat(self._name, self._round, self._logger)
+        repeat(name, self._round, logger)
 
     def submit(self, function: Callable[..., None], *arguments: Any) -> None:
         """Have this function called soon. May be called from any thread."""

@@ -21,8 +21,6 @@ from .publishing import PoseTopic
 from .rows import ODOMETRY, RosRow, resolve, rows_in
 from .settings import SettingsServer, for_xml_rpc
 
-_WAITING = 10    # commands that may wait
-
 
 class ValuePublisher:
     """Publishes tuples of values as messages of one ROS type, while the topic has subscribers.
@@ -183,26 +181,15 @@ class Binder:
 
     def _take_commands(self, ros_row: RosRow) -> Callable[[], None]:
         """Subscribe to commands; one that cannot be sent is refused with a warning."""
-        row, link = ros_row.row, self.link
-        zero = row.zero if row.motion else None
-
-        def read(message: Any) -> Any:
-            values = ros_row.fields.read(message)
-            if row.motion:
-                values, why = row.saturated(values)
-                if why:
-                    link.log.warn(f'{row.name} saturated', why)
-            return row.message(*values)
-
-        topic = CommandTopic(ros_row.name, ros_row.ros_class, read, link.writer.submit, zero,
-                             link.log, self._p['command_age'], 1 if row.newest else _WAITING)
-        if zero is None:
+        row, session = ros_row.row, self.link.session
+        topic = CommandTopic(ros_row, self.link, self._p['command_age'])
+        if not row.motion:
             return topic.close
-        link.session.add_motion(zero)
+        session.add_motion(row.zero)
 
         def take_down() -> None:
             topic.close()
-            link.writer.write(partial(link.session.remove_motion, zero))
+            self.link.writer.write(partial(session.remove_motion, row.zero))
 
         return take_down
 

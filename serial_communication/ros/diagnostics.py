@@ -1,7 +1,7 @@
 """Publishes /diagnostics: one status for each link, once a second by the monotonic clock."""
 import logging
 import time
-from typing import Any, Iterable
+from typing import Any
 
 from diagnostic_updater import Updater
 
@@ -11,16 +11,11 @@ from .background import repeat
 _PERIOD = 1.0   # s
 
 
-def publish_diagnostics(links: Iterable[Link], logger: logging.Logger) -> None:
-    """Publish the diagnostics of these links from now on.
+def publish_diagnostics(link: Link, logger: logging.Logger) -> None:
+    """Publish the diagnostics of a link from now on.
 
     Each has an updater, since an updater has one hardware id and a link's is its port.
     """
-    for link in links:
-        _publish(link, logger)
-
-
-def _publish(link: Link, logger: logging.Logger) -> None:
     def task(status: Any) -> Any:
         report = link.report(link.now())
         status.summary(report.level, report.summary)

@@ -31,18 +31,18 @@ class PackedImu(Imu):
             super().serialize(buff)     # raises what rospy expects
 
 
-class ImuTopic:
+class ImuTopic(PoseTopic):
     """Publishes an IMU's messages, and its orientation on /tf if the parameters say so.
 
     Args:
-        name: of the topic.
-        p: the board's parameters.
         rate: standard deviation in rad/s; None: not measured.
         acceleration: standard deviation in m/s^2; None: not measured.
     """
 
     def __init__(self, name: str, p: Dict[str, Any], rate: Optional[float] = None,
                  acceleration: Optional[float] = None) -> None:
+        super().__init__(name, Imu, (p['imu_frame_id'], p['imu_orientation_frame_id'])
+                         if p['publish_tf'] else None)
         level = p['roll_pitch_stdev']
         self._message = PackedImu()
         self._pose = Pose(orientation=self._message.orientation)
@@ -52,17 +52,10 @@ class ImuTopic:
             _NOT_MEASURED if rate is None else _covariance(rate, rate, rate)
         self._message.linear_acceleration_covariance = \
             _NOT_MEASURED if acceleration is None else _covariance(*[acceleration] * 3)
-        self._topic = PoseTopic(name, Imu, (p['imu_frame_id'], p['imu_orientation_frame_id'])
-                                if p['publish_tf'] else None)
 
-    @property
-    def is_wanted(self) -> bool:
-        """Whether anything would be published."""
-        return self._topic.is_wanted
-
-    def publish(self, stamp: rospy.Time, orientation: Sequence[float],
-                rate: Sequence[float] = (0.0, 0.0, 0.0),
-                acceleration: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+    def send(self, stamp: rospy.Time, orientation: Sequence[float],
+             rate: Sequence[float] = (0.0, 0.0, 0.0),
+             acceleration: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         """Publish an orientation (x, y, z, w), a rate in rad/s and an acceleration in m/s^2."""
         message = self._message
         message.header.stamp = stamp
@@ -71,7 +64,7 @@ class ImuTopic:
         at.x, at.y, at.z, at.w = orientation
         turn.x, turn.y, turn.z = rate
         force.x, force.y, force.z = acceleration
-        self._topic.publish(message, stamp, self._pose)
+        self.publish(message, stamp, self._pose)
 
 
 def _covariance(x: float, y: float, z: float) -> List[float]:

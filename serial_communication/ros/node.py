@@ -184,10 +184,10 @@ class Bridge:
             for board, values in boards for name in board.MOUNTS})
         self._hold(is_stopped)
         Traffic(self._links, LOGGER)
-        self._worker = LatestWorker('rows', LOGGER)
+        worker = LatestWorker('rows', LOGGER)
         for interface in self._interfaces:
             if interface.binder:
-                interface.binder.serve(self._worker, names,
+                interface.binder.serve(worker, names,
                                        p[SETTINGS].get(interface.link.name, {}))
 
     def start(self) -> None:
@@ -201,11 +201,10 @@ class Bridge:
         for interface in self._interfaces:
             interface.advertise()
             link = interface.link
+            publish_diagnostics(link, LOGGER)
             _offer(f'~{link.name}/release', Release, partial(_release, link))
             _offer(f'~{link.name}/reset', Trigger, partial(_reset, link))
         _accept_all_calls()
-        self._worker.start()
-        publish_diagnostics(self._links, LOGGER)
 
     def _stop_all(self, request: SetBoolRequest) -> SetBoolResponse:
         """The service ~stop."""

@@ -55,11 +55,8 @@ class SettingsServer:
 
     Args:
         rows: that are there at the start.
-        values: that are wanted at the start, and that the parameter server has, by name.
-        worker: calls the master.
-
-    Raises:
-        ParameterError: a value that its row does not allow.
+        values: that are wanted at the start, and that the parameter server has, by name;
+            ParameterError for one that its row does not allow.
     """
 
     def __init__(self, link: Link, rows: Iterable[Setting], values: Dict[str, Any],

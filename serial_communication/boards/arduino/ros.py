@@ -65,8 +65,8 @@ class ArduinoInterface(Interface):
         options = CarOptions(**{name: p[name] for name in CarOptions._fields})
         session = CarSession(
             SparingLog(self.NAME, LOGGER), options, on_message=self._received,
-            on_log=self._log, on_calibrating=lambda on: self._calibrating.publish(on),
-            byte_time=10.0 / p['baud'])
+            on_log=lambda severity, text: _LOG_FUNCTIONS[severity]('arduino says: %s', text),
+            on_calibrating=lambda on: self._calibrating.publish(on), byte_time=10.0 / p['baud'])
         self.link = Link(session=session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
 
@@ -85,15 +85,11 @@ class ArduinoInterface(Interface):
             self.binder.publish(message, stamp)
             return
         if self._imu.is_wanted:
-            self._imu.publish(stamp, message.orientation(),
-                              message.angular_velocity(self._gyro_scale),
-                              message.linear_acceleration())
+            self._imu.send(stamp, message.orientation(),
+                           message.angular_velocity(self._gyro_scale),
+                           message.linear_acceleration())
         if wanted(self._temperature):
             self._temperature.publish(Header(0, stamp, self._frame_id), message.temperature(), 0.0)
-
-    @staticmethod
-    def _log(severity: int, text: str) -> None:
-        _LOG_FUNCTIONS[severity]('arduino says: %s', text)
 
 
 INTERFACE = ArduinoInterface

@@ -14,7 +14,7 @@ from ...ros.answers import fill_response
 from ...ros.binder import Binder
 from ...ros.interface import LOGGER, Interface, link_arguments
 from ...ros.parameter import PORT, Parameter, baud, seconds
-from ...ros.publishing import publisher, wanted
+from ...ros.publishing import publisher
 from ...ros.rows import row_parameters
 from . import DESCRIPTION, wire
 from .link import BusLink, BusSettings
@@ -85,10 +85,8 @@ class BusInterface(Interface):
     def _publish_environment(self, reading: wire.Environment, stamp: rospy.Time) -> None:
         message = self._message(reading, stamp)
         self._environment.publish(message)
-        if wanted(self._temperature):
-            self._temperature.publish(Temperature(message.header, reading.temperature, 0.0))
-        if wanted(self._humidity):
-            self._humidity.publish(RelativeHumidity(message.header, reading.humidity / 100, 0.0))
+        self._temperature.publish(message.header, reading.temperature, 0.0)
+        self._humidity.publish(message.header, reading.humidity / 100, 0.0)
 
     def _message(self, reading: wire.Environment, stamp: rospy.Time) -> Environment:
         message = Environment(None, *reading)

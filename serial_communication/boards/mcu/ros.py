@@ -76,23 +76,20 @@ class McuInterface(Interface):
             self.binder.publish(message, stamp)
             return
         now = self.link.now()
-        age = now - (self._session.presence.frame_at or now)
-        if type(message) is wire.AdcStatus:
-            if wanted(self._adc_status):
-                self._adc_status.publish(stamp, seq, True, True, self._session.checksum_errors, age,
-                                         *message)
+        is_adc = type(message) is wire.AdcStatus
+        (self._adc_status if is_adc else self._status).publish(
+            stamp, seq, True, is_adc or message.valid, self._session.checksum_errors,
+            now - (self._session.presence.frame_at or now), *message)
+        if is_adc:
             return
-        if wanted(self._status):
-            self._status.publish(stamp, seq, True, message.valid,
-                                 self._session.checksum_errors, age, *message)
         for (topic, out), millimetres in zip(self._ranges, message[:2]):
             if wanted(topic):
                 out.header.stamp = stamp
                 out.range = _metres(millimetres, out.min_range, out.max_range)
                 topic.publish(out)
         if message.angles_known and self._imu.is_wanted:
-            self._imu.publish(stamp, quaternion(radians(message.roll), radians(message.pitch),
-                                                radians(message.yaw) * self._turn))
+            self._imu.send(stamp, quaternion(radians(message.roll), radians(message.pitch),
+                                             radians(message.yaw) * self._turn))
 
     def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
         if kind and kind.TYPE not in wire.MESSAGES:
