@@ -27,9 +27,6 @@ class ValuePublisher:
 
     A message is left out if one of its values is "no value" and its field cannot be NaN. The pose
     of a nav_msgs/Odometry is on /tf, too, if the parameters say so.
-
-    Args:
-        p: the parameters publish_tf and frame_prefix.
     """
 
     def __init__(self, ros_row: RosRow, p: Dict[str, Any]) -> None:
@@ -70,7 +67,7 @@ class Binder:
 
     Args:
         link: of the board; what its rows need of it depends on their kinds.
-        p: its checked parameters, those of `row_parameters` among them, publish_tf and
+        p: its checked parameters, those of `board_parameters` among them, publish_tf and
             frame_prefix; command_age, s, if it takes commands.
     """
 
@@ -82,7 +79,6 @@ class Binder:
         self._fixed = [*(resolve(board, row) for row in board.rows), *rows_in(p)]
         self._made: Dict[str, Tuple[RosRow, Callable[[], None]]] = {}    # and what takes it down
         self._topics: Dict[Any, ValuePublisher] = {}     # by class of the message
-        self._names: Dict[str, str] = {}                 # see `serve`
 
     def serve(self, worker: LatestWorker, names: Dict[str, str], values: Dict[str, Any]) -> None:
         """Make the rows of the start; those that the board announces follow in the worker's thread.
@@ -94,7 +90,7 @@ class Binder:
         Raises:
             ParameterError: a setting's value is not allowed.
         """
-        self._names = names
+        self._names = names     # of announced rows, too
         if any(Kind.SETTING in group.kinds for group in self._board.groups):
             SettingsServer(self.link, [each.row for each in self._fixed
                                        if isinstance(each.row, Setting)], values, worker)
@@ -128,12 +124,12 @@ class Binder:
         said = list(announcement.problems)
         accepted = self._accepted(announcement.rows, said)
         self.sync(self._fixed + accepted)
-        names = [each.row.name for each in accepted]
-        self.link.session.announcement.use(text, announcement.firmware, names)
+        names, firmware = [each.row.name for each in accepted], announcement.firmware
+        self.link.session.announcement.use(text, firmware, names)
         for line in said:
             self.link.log.always_warn(line)
-        firmware = f' (firmware {announcement.firmware})' if announcement.firmware else ''
-        self.link.log.always_info(f'announces {", ".join(names) or "nothing"}{firmware}')
+        self.link.log.always_info(f'announces {", ".join(names) or "nothing"}'
+                                  + (f' (firmware {firmware})' if firmware else ''))
         rospy.set_param(f'~{self.link.name}/{ANNOUNCED}', for_xml_rpc(
             {name: announcement.rows[name] for name in names}))
 

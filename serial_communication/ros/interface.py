@@ -28,8 +28,8 @@ class Interface:
     """One board on the ROS side: its parameters and frames, its link, its topics and services.
 
     The module `ros` of a board has a subclass as `INTERFACE`. The node checks the board's
-    parameters, creates the interface if the board has a port, publishes its mounts, starts its
-    link, and then calls `advertise`. Diagnostics and serial_msg need only the link.
+    parameters, creates the interface if the board has a port, publishes its mounts, and starts its
+    link. Diagnostics and serial_msg need only the link.
 
     Args:
         parameters: the checked values of `PARAMETERS`, and of publish_tf, base_frame_id,
@@ -43,7 +43,4 @@ class Interface:
     binder: Optional[Binder] = None    # None: the board has no rows
 
     def __init__(self, parameters: Dict[str, Any]) -> None:
-        """Create the link and the topics from the board; ParameterError ends the node."""
-
-    def advertise(self) -> None:
-        """Offer what needs code of its own; the rows are there."""
+        """Create the link, and what needs code of its own; ParameterError ends the node."""

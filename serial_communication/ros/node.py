@@ -158,8 +158,7 @@ class Bridge:
     """All links that have a port, with their diagnostics, transforms and serial_msg.
 
     Args:
-        p: the checked parameters.
-        given: the same parameters as they were given.
+        p: the checked parameters; `given` as they were given.
         names: the resolved names of topics and services, and whose each is.
         is_stopped: whether ~stop holds from the start.
     """
@@ -174,10 +173,10 @@ class Bridge:
                        f'off, because no port is set: {", ".join(off)} (bridge.launch: if a port '
                        'is given as an argument, links without a port argument are off)')
         boards = [(board, values) for board, values in boards if values['port']]
-        self._interfaces = [board(values) for board, values in boards]
-        for interface, (_, values) in zip(self._interfaces, boards):
+        interfaces = [board(values) for board, values in boards]
+        for interface, (_, values) in zip(interfaces, boards):
             interface.link.lending.reset_line = values['reset_line']
-        self._links = sorted((interface.link for interface in self._interfaces),
+        self._links = sorted((interface.link for interface in interfaces),
                              key=lambda link: not link.session.STOPS_FIRST)
         publish_mounts(p['base_frame_id'], {
             values[f'{name}_frame_id']: values[f'{name}_mount']
@@ -185,10 +184,9 @@ class Bridge:
         self._hold(is_stopped)
         Traffic(self._links, LOGGER)
         worker = LatestWorker('rows', LOGGER)
-        for interface in self._interfaces:
+        for interface in interfaces:
             if interface.binder:
-                interface.binder.serve(worker, names,
-                                       p[SETTINGS].get(interface.link.name, {}))
+                interface.binder.serve(worker, names, p[SETTINGS].get(interface.NAME, {}))
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -197,13 +195,11 @@ class Bridge:
         set_priority_of_all(_PRIORITY)
         for link in self._links:
             link.start()
-        rospy.Service('~stop', SetBool, self._stop_all)
-        for interface in self._interfaces:
-            interface.advertise()
-            link = interface.link
+        for link in self._links:
             publish_diagnostics(link, LOGGER)
             _offer(f'~{link.name}/release', Release, partial(_release, link))
             _offer(f'~{link.name}/reset', Trigger, partial(_reset, link))
+        rospy.Service('~stop', SetBool, self._stop_all)
         _accept_all_calls()
 
     def _stop_all(self, request: SetBoolRequest) -> SetBoolResponse:

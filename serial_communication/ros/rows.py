@@ -10,7 +10,7 @@ from typing import Any, Dict, List, NamedTuple, Optional
 from ..boards.description import Description
 from ..framing.rows import Kind, Row, RowError
 from .fields import RosFields, find_type
-from .parameter import Parameter, Parameters
+from .parameter import PORT, Parameter, Parameters, baud
 
 ODOMETRY = 'nav_msgs/Odometry'
 
@@ -31,13 +31,10 @@ class RosRow(NamedTuple):
         return row.make_request(self.request.read(self.ros_class._request_class()))
 
 
-def row_parameters(board: Description, announcements: bool = True) -> Parameters:
-    """The parameters with a board's rows, and the one that says whether it may announce some.
-
-    Args:
-        announcements: its default.
-    """
-    return {'announcements': Parameter(announcements), **{
+def board_parameters(board: Description, announcements: bool = True) -> Parameters:
+    """The parameters with a board's port and rows, and the one that says whether it may announce
+    some, whose default is given."""
+    return {'port': PORT, 'baud': baud(board), 'announcements': Parameter(announcements), **{
         group.parameter: Parameter({}, parse=partial(read_rows, board, group.parameter))
         for group in board.groups}}
 

@@ -13,9 +13,9 @@ from ...link.sparing_log import SparingLog
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
 from ...ros.interface import LOGGER, Interface, link_arguments
-from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
+from ...ros.parameter import MOUNT, RESET_LINE, Parameter, frame_id, seconds
 from ...ros.publishing import publisher, wanted
-from ...ros.rows import row_parameters
+from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
 from .session import CarOptions, CarSession
 
@@ -28,8 +28,7 @@ class ArduinoInterface(Interface):
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
-        'port': PORT,
-        'baud': baud(DESCRIPTION),
+        **board_parameters(DESCRIPTION),
         'reset_on_open': Parameter(False),
         'reset_line': RESET_LINE._replace(default='dtr'),
         # At 34 Hz a heartbeat is sent every 29 ms; the board stops its motor after 30 ms without.
@@ -39,7 +38,6 @@ class ArduinoInterface(Interface):
         'network_silence': seconds(_DEFAULTS.network_silence, 0.0, 3600.0),
         'calibration_timeout': seconds(_DEFAULTS.calibration_timeout, 1.0, 86400.0),
         'check_plausibility': Parameter(_DEFAULTS.check_plausibility),
-        **row_parameters(DESCRIPTION),
         'board_time': Parameter(True),
         'gyro_scale': Parameter(wire.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
         'linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
@@ -69,8 +67,6 @@ class ArduinoInterface(Interface):
             on_calibrating=lambda on: self._calibrating.publish(on), byte_time=10.0 / p['baud'])
         self.link = Link(session=session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
-
-    def advertise(self) -> None:
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
 
     def _calibrate(self, _request: Any) -> EmptyResponse:

@@ -13,9 +13,9 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
 from ...ros.answers import fill_response
 from ...ros.binder import Binder
 from ...ros.interface import LOGGER, Interface, link_arguments
-from ...ros.parameter import PORT, Parameter, baud, seconds
+from ...ros.parameter import Parameter, seconds
 from ...ros.publishing import publisher
-from ...ros.rows import row_parameters
+from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
 from .link import BusLink, BusSettings
 
@@ -27,8 +27,7 @@ class BusInterface(Interface):
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
-        'port': PORT,
-        'baud': baud(DESCRIPTION),
+        **board_parameters(DESCRIPTION, _DEFAULTS.announcements),
         'reply_timeout': seconds(_DEFAULTS.reply_timeout, 0.01, 60.0),
         'motion_timeout': seconds(_DEFAULTS.motion_timeout, 0.01, 600.0),
         'retries': Parameter(_DEFAULTS.retries, 0, 100),
@@ -36,7 +35,6 @@ class BusInterface(Interface):
         'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'echo': Parameter(_DEFAULTS.echo),
-        **row_parameters(DESCRIPTION, _DEFAULTS.announcements),
     }
     link: BusLink
 
@@ -50,9 +48,6 @@ class BusInterface(Interface):
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
         self._frame_id = p['base_frame_id']
-
-    def advertise(self) -> None:
-        """Offer the services that no row describes."""
         rospy.Service('~get_environment', GetEnvironment, self._get_environment)
         rospy.Service('~bus/echo', Trigger,
                       lambda _request: self._trigger(wire.ECHO_FUNCTION, os.urandom(4)))

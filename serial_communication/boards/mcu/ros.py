@@ -14,10 +14,9 @@ from ...link.sparing_log import SparingLog
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
 from ...ros.interface import LOGGER, Interface, link_arguments
-from ...ros.parameter import (MOUNT, PORT, RESET_LINE, Parameter, ParameterError, baud,
-                              frame_id, seconds)
+from ...ros.parameter import MOUNT, RESET_LINE, Parameter, ParameterError, frame_id, seconds
 from ...ros.publishing import publisher, wanted
-from ...ros.rows import row_parameters
+from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
 from .session import SensorSession
 
@@ -29,13 +28,11 @@ class McuInterface(Interface):
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
-        'port': PORT,
-        'baud': baud(DESCRIPTION),
+        **board_parameters(DESCRIPTION),
         'reset_line': RESET_LINE._replace(default='rts'),
         'timeout': seconds(1.0, 0.01, 3600.0),
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
-        **row_parameters(DESCRIPTION),
         'board_time': Parameter(True),
         'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
         'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
