@@ -33,11 +33,8 @@ def description(name: str) -> Description:
 
 
 def descriptions(packages: Iterable[str] = ()) -> List[Description]:
-    """The boards of this package, in order, and those of other packages.
-
-    Raises:
-        BoardError: one cannot be found.
-    """
+    """The boards of this package, in order, and those of other packages; BoardError if one cannot
+    be found."""
     return [description(name) for name in (*BOARDS, *packages)]
 
 

@@ -1,5 +1,4 @@
 """Threads that go on whatever fails."""
-import logging
 import threading
 import time
 import traceback
@@ -8,13 +7,14 @@ from typing import Any, Callable, Dict, Tuple
 import rospy
 
 from ..link.sparing_log import SparingLog
+from .logs import sparing_log
 
 _PAUSE = 0.1      # s between two rounds of a worker: who submits may do so all the time
 
 
-def repeat(name: str, function: Callable[[], None], logger: logging.Logger) -> None:
+def repeat(name: str, function: Callable[[], None]) -> None:
     """Call a function again and again in a thread of this name; what it raises is logged."""
-    log = SparingLog(name, logger)
+    log = sparing_log(name)
 
     def run() -> None:
         while True:
@@ -38,12 +38,12 @@ class LatestWorker:
     A function that is submitted again before its turn is called once, with the newest arguments.
     """
 
-    def __init__(self, name: str, logger: logging.Logger) -> None:
-        self._log = SparingLog(name, logger)
+    def __init__(self, name: str) -> None:
+        self._log = sparing_log(name)
         self._waiting: Dict[Callable[..., None], Tuple] = {}
         self._lock = threading.Lock()
         self._wake = threading.Event()
-        repeat(name, self._round, logger)
+        repeat(name, self._round)
 
     def submit(self, function: Callable[..., None], *arguments: Any) -> None:
         """Have this function called soon. May be called from any thread."""

@@ -1,5 +1,4 @@
 """Publishes /diagnostics: one status for each link, once a second by the monotonic clock."""
-import logging
 import time
 from typing import Any
 
@@ -11,7 +10,7 @@ from .background import repeat
 _PERIOD = 1.0   # s
 
 
-def publish_diagnostics(link: Link, logger: logging.Logger) -> None:
+def publish_diagnostics(link: Link) -> None:
     """Publish the diagnostics of a link from now on.
 
     Each has an updater, since an updater has one hardware id and a link's is its port.
@@ -30,4 +29,4 @@ def publish_diagnostics(link: Link, logger: logging.Logger) -> None:
     updater = Updater()
     updater.setHardwareID(link.port.url)
     updater.add(link.name + ' link', task)
-    repeat(f'{link.name} diagnostics', update, logger)
+    repeat(f'{link.name} diagnostics', update)

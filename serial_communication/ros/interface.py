@@ -1,5 +1,4 @@
 """The interface between the node and a board."""
-import logging
 from typing import Any, Dict, Optional, Tuple
 
 import rospy
@@ -8,8 +7,6 @@ from ..link.link import Link
 from ..transport.port import Port
 from .binder import Binder
 from .parameter import Parameters
-
-LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
 
 
 def link_arguments(p: Dict[str, Any]) -> Dict[str, Any]:

@@ -10,6 +10,9 @@ from contextlib import suppress
 from logging.handlers import QueueHandler, QueueListener
 from typing import List
 
+from ..link.sparing_log import SparingLog
+
+LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
 _QUEUED = 1000    # lines that may wait for one handler; newer ones are dropped
 
 
@@ -37,10 +40,15 @@ class _Writer(QueueListener):
 _writers: List[_Writer] = []
 
 
+def sparing_log(name: str) -> SparingLog:
+    """Return a log of a link or another part."""
+    return SparingLog(name, LOGGER)
+
+
 def queue_lines() -> None:
     """Have the handlers of rospy's loggers write in threads; call this after rospy.init_node."""
     logging.raiseExceptions = False     # otherwise logging reports failures on stderr
-    for logger in logging.getLogger(), logging.getLogger('rosout'):
+    for logger in logging.getLogger(), LOGGER:
         for handler in list(logger.handlers):
             waiting = _Input(queue.SimpleQueue())   # a handler of a signal may log inside its `put`
             _writers.append(_Writer(waiting.queue, handler))

@@ -23,8 +23,6 @@ takes ROS's arguments only; config/bridge.yaml documents its parameters.
 
 Exit status 0: it was stopped; 1: a parameter is wrong, or something failed (see the log);
 2: wrong arguments; {NAME_TAKEN}: a node of its name is already running.
-With a wrong parameter, a node that roslaunch started does not exit, since roslaunch would start
-it again: it waits until it is stopped.
 """
 
 

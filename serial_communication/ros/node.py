@@ -26,7 +26,6 @@ from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import direct, logs, parameters
 from .diagnostics import publish_diagnostics
-from .interface import LOGGER
 from .background import LatestWorker
 from .master import (NAME_TAKEN, check_arguments, empty_ports, end_within, full_name, restart,
                      running_node, watch_master)
@@ -169,9 +168,9 @@ class Bridge:
         boards = [(board, parameters.of_board(board, p)) for board in p['boards']]
         off = [board.NAME for board, values in boards if not values['port']]
         if off:
-            LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
-                       f'off, because no port is set: {", ".join(off)} (bridge.launch: if a port '
-                       'is given as an argument, links without a port argument are off)')
+            logs.LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
+                            f'off, because no port is set: {", ".join(off)} (bridge.launch: if a '
+                            'port is given as an argument, links without a port argument are off)')
         boards = [(board, values) for board, values in boards if values['port']]
         interfaces = [board(values) for board, values in boards]
         for interface, (_, values) in zip(interfaces, boards):
@@ -182,8 +181,8 @@ class Bridge:
             values[f'{name}_frame_id']: values[f'{name}_mount']
             for board, values in boards for name in board.MOUNTS})
         self._hold(is_stopped)
-        Traffic(self._links, LOGGER)
-        worker = LatestWorker('rows', LOGGER)
+        Traffic(self._links)
+        worker = LatestWorker('rows')
         for interface in interfaces:
             if interface.binder:
                 interface.binder.serve(worker, names, p[SETTINGS].get(interface.NAME, {}))
@@ -196,7 +195,7 @@ class Bridge:
         for link in self._links:
             link.start()
         for link in self._links:
-            publish_diagnostics(link, LOGGER)
+            publish_diagnostics(link)
             _offer(f'~{link.name}/release', Release, partial(_release, link))
             _offer(f'~{link.name}/reset', Trigger, partial(_reset, link))
         rospy.Service('~stop', SetBool, self._stop_all)

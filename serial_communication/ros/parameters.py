@@ -124,8 +124,9 @@ def _refuse_shared_ports(values: Dict[str, Any], namespace: str) -> None:
     for interface in values['boards']:
         url = values[f'{interface.NAME}/port']
         key = f'{namespace}/{interface.NAME}/port'
-        if url and identity(url) in ports:    # one of the two links would wait for it for ever
+        port = identity(url) if url else None
+        if port in ports:       # one of the two links would wait for it for ever
             raise ParameterError(f'parameter {key} is {url!r}, which is also the port of '
-                                 f'{ports[identity(url)]}; each link needs its own port')
-        if url:
-            ports[identity(url)] = f'{key} ({url!r})'
+                                 f'{ports[port]}; each link needs its own port')
+        if port is not None:
+            ports[port] = f'{key} ({url!r})'

@@ -3,7 +3,8 @@ from math import isfinite, sqrt
 from typing import Any, Dict, List, Optional, Sequence, Tuple
 
 import rospy
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from ..framing.rotation import quaternion
@@ -25,12 +26,8 @@ def wanted(topic: rospy.Publisher) -> bool:
 
 def _transform(parent: str, child: str, translation: Sequence[float],
                rotation: Sequence[float], stamp: rospy.Time) -> TransformStamped:
-    message = TransformStamped(child_frame_id=child)
-    message.header.stamp, message.header.frame_id = stamp, parent
-    at, turn = message.transform.translation, message.transform.rotation
-    at.x, at.y, at.z = translation
-    turn.x, turn.y, turn.z, turn.w = rotation
-    return message
+    return TransformStamped(Header(0, stamp, parent), child,
+                            Transform(Vector3(*translation), Quaternion(*rotation)))
 
 
 def publish_mounts(base: str, mounts: Dict[str, List[float]]) -> None:

@@ -5,7 +5,7 @@ has registered anything or opened a port.
 """
 from dataclasses import replace
 from functools import partial
-from typing import Any, Dict, List, NamedTuple, Optional
+from typing import Any, Dict, List, NamedTuple
 
 from ..boards.description import Description
 from ..framing.rows import Kind, Row, RowError
@@ -22,12 +22,11 @@ class RosRow(NamedTuple):
     name: str                       # of the topic, service or parameter, relative to the node
     ros_class: Any = None           # of the messages or the service; None: of a setting
     fields: Any = None              # RosFields of the message, or of the service's response
-    request: Optional[RosFields] = None     # of a service's request
+    request: Any = None             # RosFields of a service's request
 
     def stop_request(self) -> Any:
         """The request with every field 0, which ~stop sends; ValueError if that is out of range."""
         row: Any = self.row
-        assert self.request
         return row.make_request(self.request.read(self.ros_class._request_class()))
 
 

@@ -1,10 +1,10 @@
 """Publishes serial_msg: every frame of every link, while the topic has subscribers."""
-import logging
 import queue
 import threading
 from typing import Any, Iterable, Tuple
 
 import rospy
+from std_msgs.msg import Header
 
 from serial_communication.msg import SerialMsg
 
@@ -22,7 +22,7 @@ class Traffic(rospy.SubscribeListener):
     Without subscribers, the links do not pass their frames on at all.
     """
 
-    def __init__(self, links: Iterable[Link], logger: logging.Logger) -> None:
+    def __init__(self, links: Iterable[Link]) -> None:
         super().__init__()
         self._links = list(links)
         # put() never blocks.
@@ -30,7 +30,7 @@ class Traffic(rospy.SubscribeListener):
         self._lock = threading.Lock()
         with self._lock:        # rospy may call `peer_subscribe` at once
             self._topic = publisher('serial_msg', SerialMsg, subscriber_listener=self)
-        repeat('serial_msg', self._publish, logger)
+        repeat('serial_msg', self._publish)
         self.peer_subscribe()   # others may have subscribed before rospy had the listener
 
     def peer_subscribe(self, *_: Any) -> None:
@@ -48,8 +48,6 @@ class Traffic(rospy.SubscribeListener):
 
     def _publish(self) -> None:
         link, direction, frame = self._queue.get()
-        message = SerialMsg(link=link, direction=direction, type=frame.type,
-                            command=frame.number, data=frame.data, frame=frame.raw,
-                            text=frame.text, error=frame.trouble)
-        message.header.stamp = frame.stamp or rospy.Time.now()
-        self._topic.publish(message)
+        self._topic.publish(Header(0, frame.stamp or rospy.Time.now(), ''), link, direction,
+                            frame.type, frame.number, frame.data, frame.raw, frame.text,
+                            frame.trouble)

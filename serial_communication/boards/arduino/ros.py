@@ -9,10 +9,10 @@ from std_srvs.srv import Empty, EmptyResponse
 
 from ...link.link import Link
 from ...link.outcome import Refused
-from ...link.sparing_log import SparingLog
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
-from ...ros.interface import LOGGER, Interface, link_arguments
+from ...ros.interface import Interface, link_arguments
+from ...ros.logs import sparing_log
 from ...ros.parameter import MOUNT, RESET_LINE, Parameter, frame_id, seconds
 from ...ros.publishing import publisher, wanted
 from ...ros.rows import board_parameters
@@ -62,7 +62,7 @@ class ArduinoInterface(Interface):
         self._calibrating.publish(False)
         options = CarOptions(**{name: p[name] for name in CarOptions._fields})
         session = CarSession(
-            SparingLog(self.NAME, LOGGER), options, on_message=self._received,
+            sparing_log(self.NAME), options, on_message=self._received,
             on_log=lambda severity, text: _LOG_FUNCTIONS[severity]('arduino says: %s', text),
             on_calibrating=lambda on: self._calibrating.publish(on), byte_time=10.0 / p['baud'])
         self.link = Link(session=session, **link_arguments(p))

@@ -4,6 +4,7 @@ from typing import Any, Dict
 
 import rospy
 from sensor_msgs.msg import RelativeHumidity, Temperature
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger, TriggerResponse
 
 from serial_communication.msg import Environment
@@ -12,7 +13,8 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
 
 from ...ros.answers import fill_response
 from ...ros.binder import Binder
-from ...ros.interface import LOGGER, Interface, link_arguments
+from ...ros.interface import Interface, link_arguments
+from ...ros.logs import LOGGER
 from ...ros.parameter import Parameter, seconds
 from ...ros.publishing import publisher
 from ...ros.rows import board_parameters
@@ -84,10 +86,7 @@ class BusInterface(Interface):
         self._humidity.publish(message.header, reading.humidity / 100, 0.0)
 
     def _message(self, reading: wire.Environment, stamp: rospy.Time) -> Environment:
-        message = Environment(None, *reading)
-        message.header.stamp = stamp
-        message.header.frame_id = self._frame_id
-        return message
+        return Environment(Header(0, stamp, self._frame_id), *reading)
 
 
 INTERFACE = BusInterface

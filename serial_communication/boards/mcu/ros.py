@@ -4,16 +4,17 @@ from typing import Any, Dict, Optional, Type
 
 import rospy
 from sensor_msgs.msg import Range
+from std_msgs.msg import Header
 
 from serial_communication.msg import McuStatus, McuStatus2
 
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
 from ...link.link import Link
-from ...link.sparing_log import SparingLog
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
-from ...ros.interface import LOGGER, Interface, link_arguments
+from ...ros.interface import Interface, link_arguments
+from ...ros.logs import sparing_log
 from ...ros.parameter import MOUNT, RESET_LINE, Parameter, ParameterError, frame_id, seconds
 from ...ros.publishing import publisher, wanted
 from ...ros.rows import board_parameters
@@ -57,13 +58,14 @@ class McuInterface(Interface):
                                  f'{p["min_range"]:g} m, has to be less than mcu/max_range, which '
                                  f'is {p["max_range"]:g} m')
         self._turn = -1.0 if p['yaw_clockwise'] else 1.0
-        self._ranges = [(publisher(f'mcu/range_{number}', Range), _range(p, number))
-                        for number in (1, 2)]
+        self._ranges = [(publisher(f'mcu/{name}', Range), Range(
+            Header(frame_id=p[f'{name}_frame_id']), Range.INFRARED, p['field_of_view'],
+            p['min_range'], p['max_range'], nan)) for name in ('range_1', 'range_2')]
         self._status = publisher('mcu/status', McuStatus2)
         self._adc_status = publisher('mcu/adc_status', McuStatus)
         self._imu = ImuTopic('mcu/imu', p)
         self._session = SensorSession(
-            SparingLog(self.NAME, LOGGER), p['timeout'], on_status=self._received,
+            sparing_log(self.NAME), p['timeout'], on_status=self._received,
             on_silence=self._silent, network_silence=p['network_silence'])
         self.link = Link(session=self._session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
@@ -104,13 +106,6 @@ def _metres(millimetres: int, low: float, high: float) -> float:
         return nan
     metres = millimetres / 1000
     return -inf if metres < low else inf if metres > high else metres
-
-
-def _range(p: Dict[str, Any], number: int) -> Range:
-    message = Range(radiation_type=Range.INFRARED, field_of_view=p['field_of_view'],
-                    min_range=p['min_range'], max_range=p['max_range'])
-    message.header.frame_id = p[f'range_{number}_frame_id']
-    return message
 
 
 INTERFACE = McuInterface

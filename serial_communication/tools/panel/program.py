@@ -124,7 +124,7 @@ def _serve(options: argparse.Namespace) -> int:
     loop = tornado.ioloop.IOLoop.current()
     log = SparingLog('panel', logging.getLogger('rosout'))
     node = rospy.resolve_name(options.node)
-    registrar = LatestWorker('registrar', logging.getLogger('rosout'))
+    registrar = LatestWorker('registrar')
     commands = Commands(node, registrar, loop.add_callback, loop.call_later) \
         if options.control else None
     hub = Hub(Feed(node, rosgraph.get_master_uri(), registrar), commands, log)
