@@ -4,6 +4,7 @@ A terminal or a pipe that nobody reads blocks who writes to it, and a closed one
 raises. Here a log call only queues its line.
 """
 import logging
+import os
 import queue
 import sys
 from contextlib import suppress
@@ -57,17 +58,15 @@ def queue_lines() -> None:
             logger.addHandler(waiting)
 
 
-def finish() -> bool:
+def finish(status: int) -> None:
     """Write the waiting lines when the process ends; a stream that is blocked blocks this.
 
-    Returns whether all were written. If not, end the process with os._exit: the interpreter's own
-    exit would fail.
+    If one is closed, end the process with this status: the interpreter's own exit would fail.
     """
     try:
         for writer in _writers:
             writer.stop()
         for stream in filter(None, (sys.stdout, sys.stderr)):
             stream.flush()
-        return True
-    except (OSError, ValueError):       # one is closed
-        return False
+    except (OSError, ValueError):
+        os._exit(status)

@@ -25,15 +25,14 @@ from ..link.writer import STALLED
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
 from . import direct, logs, parameters
-from .diagnostics import publish_diagnostics
 from .background import LatestWorker
 from .master import (NAME_TAKEN, check_arguments, empty_ports, end_within, full_name, restart,
                      running_node, watch_master)
 from .parameter import ParameterError
 from .publishing import publish_mounts
+from .reports import Traffic, publish_diagnostics
 from .settings import PARAMETER as SETTINGS
 from .settings import wanted_values
-from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
 _NAME = 'serial_communication'    # the default
@@ -60,8 +59,7 @@ def main() -> None:
         status = 0
     finally:
         end_within(_LAST_RESORT, status)
-        if not logs.finish():
-            os._exit(status)
+        logs.finish(status)
     sys.exit(status)
 
 
@@ -124,15 +122,15 @@ def _given() -> Tuple[Any, bool]:
     return rospy.get_param('~', {}), is_stopped
 
 
-def _offer(name: str, service_class: Any, call: Callable[[Any], str]) -> None:
+def _offer(link: Link, name: str, service_class: Any, call: Callable[[Link, Any], str]) -> None:
     """Offer a service that answers whether it is done, and what to say."""
     def handle(request: Any) -> Tuple[bool, str]:
         try:
-            return True, call(request)
+            return True, call(link, request)
         except Refused as refused:
             return False, str(refused)
 
-    rospy.Service(name, service_class, handle)
+    rospy.Service(f'~{link.name}/{name}', service_class, handle)
 
 
 def _release(link: Link, request: Any) -> str:
@@ -140,10 +138,6 @@ def _release(link: Link, request: Any) -> str:
     if request.seconds and not link.lending.closed.wait(_CLOSES):
         raise Refused('the link did not close its port in time', 'time')
     return text
-
-
-def _reset(link: Link, _request: Any) -> str:
-    return link.lending.reset()
 
 
 def _accept_all_calls() -> None:
@@ -196,8 +190,8 @@ class Bridge:
             link.start()
         for link in self._links:
             publish_diagnostics(link)
-            _offer(f'~{link.name}/release', Release, partial(_release, link))
-            _offer(f'~{link.name}/reset', Trigger, partial(_reset, link))
+            _offer(link, 'release', Release, _release)
+            _offer(link, 'reset', Trigger, lambda link, _request: link.lending.reset())
         rospy.Service('~stop', SetBool, self._stop_all)
         _accept_all_calls()
 

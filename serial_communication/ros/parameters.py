@@ -45,9 +45,6 @@ def table(interfaces: List[Type[Interface]]) -> Parameters:
                                                           **interface.PARAMETERS}.items()}}
 
 
-PARAMETERS = table(BUILT_IN)
-
-
 def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[str]]:
     """Return the values of all parameters, and a warning for each unknown name.
 

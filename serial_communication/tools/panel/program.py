@@ -85,8 +85,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         status = _serve(options)
     finally:
-        if not logs.finish():
-            os._exit(status)
+        logs.finish(status)
     return status
 
 

@@ -1,9 +1,11 @@
-"""Publishes serial_msg: every frame of every link, while the topic has subscribers."""
+"""What the node publishes of every link: serial_msg and /diagnostics."""
 import queue
 import threading
+import time
 from typing import Any, Iterable, Tuple
 
 import rospy
+from diagnostic_updater import Updater
 from std_msgs.msg import Header
 
 from serial_communication.msg import SerialMsg
@@ -14,10 +16,12 @@ from .background import repeat
 from .publishing import publisher, wanted
 
 _QUEUED = 2000   # frames that may wait for the thread; newer ones are dropped
+_PERIOD = 1.0    # s
 
 
 class Traffic(rospy.SubscribeListener):
-    """Publishes from a separate thread, so that subscribers do not slow down the links.
+    """Publishes serial_msg, every frame, from a separate thread: subscribers do not slow down the
+    links.
 
     Without subscribers, the links do not pass their frames on at all.
     """
@@ -51,3 +55,25 @@ class Traffic(rospy.SubscribeListener):
         self._topic.publish(Header(0, frame.stamp or rospy.Time.now(), ''), link, direction,
                             frame.type, frame.number, frame.data, frame.raw, frame.text,
                             frame.trouble)
+
+
+def publish_diagnostics(link: Link) -> None:
+    """Publish the status of a link from now on, once a second by the monotonic clock.
+
+    Each has an updater, since an updater has one hardware id and a link's is its port.
+    """
+    def task(status: Any) -> Any:
+        report = link.report(link.now())
+        status.summary(report.level, report.summary)
+        for key, value in report.values:
+            status.add(key, str(value))
+        return status
+
+    def update() -> None:
+        time.sleep(_PERIOD)
+        updater.force_update()      # update() would count in ROS time, which may stop
+
+    updater = Updater()
+    updater.setHardwareID(link.port.url)
+    updater.add(link.name + ' link', task)
+    repeat(f'{link.name} diagnostics', update)
