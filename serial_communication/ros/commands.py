@@ -82,7 +82,7 @@ class CommandTopic:
     def _refuse_if_old(self, message: Any, command: Any) -> None:
         connection = message._connection_header     # one object for each connection
         sender = connection.get('callerid', '')
-        # rospy keeps them in the order in which it made them. One without a header is not ready.
+        # rospy keeps them in the order in which it made them; one without a header is not ready.
         alive = [each.header for each in self._subscriber.impl.connections if each.header]
         for older in [each for each in alive if each.get('callerid', '') == sender][:-1]:
             older[_REPLACED] = 'yes'        # and stays so when the newer one has closed

@@ -29,7 +29,7 @@ class Interface:
     link. Diagnostics and serial_msg need only the link.
 
     Args:
-        parameters: the checked values of `PARAMETERS`, and of publish_tf, base_frame_id,
+        p: the checked values of `PARAMETERS`, and of publish_tf, base_frame_id,
             frame_timeout and frame_prefix. Frame ids have the prefix already.
     """
 
@@ -39,5 +39,5 @@ class Interface:
     link: Link
     binder: Optional[Binder] = None    # None: the board has no rows
 
-    def __init__(self, parameters: Dict[str, Any]) -> None:
+    def __init__(self, p: Dict[str, Any]) -> None:
         """Create the link, and what needs code of its own; ParameterError ends the node."""

@@ -58,8 +58,8 @@ class _Transport(xmlrpc.client.Transport):
 
 
 def ask(uri: str, question: str, *arguments: str) -> Any:
-    """Return the answer of a master or a node; None for a failure. A server that is starting or
-    ending, or is another program, may raise anything."""
+    """Return the answer of a master or a node, None for a failure; another server may raise
+    anything."""
     server = xmlrpc.client.ServerProxy(uri, _Transport())
     code, _text, value = getattr(server, question)(rospy.get_name(), *arguments)
     return value if code == 1 else None

@@ -20,8 +20,7 @@ _PERIOD = 1.0    # s
 
 
 class Traffic(rospy.SubscribeListener):
-    """Publishes serial_msg, every frame, from a separate thread: subscribers do not slow down the
-    links.
+    """Publishes serial_msg from a separate thread, so that subscribers do not slow down the links.
 
     Without subscribers, the links do not pass their frames on at all.
     """

@@ -51,8 +51,7 @@ class ArduinoInterface(Interface):
     MOUNTS = ('imu',)
     binder: Binder
 
-    def __init__(self, parameters: Dict[str, Any]) -> None:
-        p = parameters
+    def __init__(self, p: Dict[str, Any]) -> None:
         self._gyro_scale = p['gyro_scale']
         self._imu = ImuTopic('~imu', p, p['angular_velocity_stdev'],
                              p['linear_acceleration_stdev'])
@@ -64,7 +63,7 @@ class ArduinoInterface(Interface):
         session = CarSession(
             sparing_log(self.NAME), options, on_message=self._received,
             on_log=lambda severity, text: _LOG_FUNCTIONS[severity]('arduino says: %s', text),
-            on_calibrating=lambda on: self._calibrating.publish(on), byte_time=10.0 / p['baud'])
+            on_calibrating=self._calibrating.publish, byte_time=10.0 / p['baud'])
         self.link = Link(session=session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)

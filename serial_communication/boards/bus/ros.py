@@ -40,8 +40,7 @@ class BusInterface(Interface):
     }
     link: BusLink
 
-    def __init__(self, parameters: Dict[str, Any]) -> None:
-        p = parameters
+    def __init__(self, p: Dict[str, Any]) -> None:
         self.link = BusLink(
             settings=BusSettings(**{name: p[name] for name in BusSettings._fields}),
             on_environment=self._publish_environment, logger=LOGGER, **link_arguments(p))

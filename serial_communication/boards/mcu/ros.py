@@ -51,8 +51,7 @@ class McuInterface(Interface):
     MOUNTS = ('imu', 'range_1', 'range_2')
     binder: Binder
 
-    def __init__(self, parameters: Dict[str, Any]) -> None:
-        p = parameters
+    def __init__(self, p: Dict[str, Any]) -> None:
         if p['min_range'] >= p['max_range']:
             raise ParameterError(f'parameter {rospy.resolve_name("~mcu/min_range")} is '
                                  f'{p["min_range"]:g} m, has to be less than mcu/max_range, which '
