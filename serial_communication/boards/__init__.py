@@ -17,14 +17,9 @@ class BoardError(ImportError):
 
 
 def description(name: str) -> Description:
-    """The description of a board.
+    """The description of a board: one of `BOARDS`, or of the package with that import name.
 
-    Args:
-        name: one of `BOARDS`, or the import name of a package with a board.
-
-    Raises:
-        BoardError: it cannot be found, or has no `DESCRIPTION`.
-        Exception: whatever importing it raises.
+    BoardError if there is none; and whatever importing it raises.
     """
     try:
         return importlib.import_module(f'{__name__}.{name}' if name in BOARDS else name).DESCRIPTION
@@ -33,11 +28,8 @@ def description(name: str) -> Description:
 
 
 def descriptions(packages: Iterable[str] = ()) -> List[Description]:
-    """The boards of this package, in order, and those of other packages.
-
-    Raises:
-        BoardError: one cannot be found.
-    """
+    """The boards of this package, in order, and those of other packages; BoardError if one cannot
+    be found."""
     return [description(name) for name in (*BOARDS, *packages)]
 
 

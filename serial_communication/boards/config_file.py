@@ -3,12 +3,8 @@ from typing import Any, Dict, List
 
 
 def read_parameters(path: str) -> Dict[str, Any]:
-    """The parameters in a file, nested as the parameter server holds them.
-
-    Raises:
-        OSError: the file cannot be read.
-        ValueError: it is not YAML, or has no parameters; the text is one line.
-    """
+    """The parameters in a file, nested as the parameter server holds them; OSError if it cannot be
+    read, ValueError with one line of text if it is not YAML or has none."""
     import yaml     # not at the top: without a configuration only pyserial is needed
     try:
         with open(path, encoding='utf-8') as file:

@@ -20,11 +20,8 @@ def outcome_fields(response_class: Any) -> List[str]:
 
 
 def fill_response(response: Any, outcome: Outcome) -> Any:
-    """Write an outcome into a response, and return the response.
-
-    Raises:
-        rospy.ServiceException: the call failed, and the response has no field `success`.
-    """
+    """Write an outcome into a response, and return the response; rospy.ServiceException if the call
+    failed and the response has no field `success`."""
     names = outcome_fields(type(response))
     if not outcome.success and 'success' not in names:
         raise rospy.ServiceException(outcome.message)

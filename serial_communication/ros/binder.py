@@ -16,13 +16,10 @@ from ..framing.rows import FILE, Kind, RowError, Setting, refuse_second_number
 from ..link.outcome import NOT_SENT, Outcome
 from .answers import fill_response
 from .commands import CommandTopic
-from .geometry import FrameBroadcaster
-from .latest_worker import LatestWorker
-from .publishing import publisher, wanted
+from .background import LatestWorker
+from .publishing import PoseTopic
 from .rows import ODOMETRY, RosRow, resolve, rows_in
 from .settings import SettingsServer, for_xml_rpc
-
-_WAITING = 10    # commands that may wait
 
 
 class ValuePublisher:
@@ -30,50 +27,39 @@ class ValuePublisher:
 
     A message is left out if one of its values is "no value" and its field cannot be NaN. The pose
     of a nav_msgs/Odometry is on /tf, too, if the parameters say so.
-
-    Args:
-        p: the parameters publish_tf and frame_prefix.
     """
 
     def __init__(self, ros_row: RosRow, p: Dict[str, Any]) -> None:
         row, ros_class = ros_row.row, ros_row.ros_class
         self._lock = threading.Lock()     # held while a message is published or the topic closed
-        self._topic = publisher(ros_row.name, ros_class)
         self._fields = ros_row.fields
         self._message = ros_row.fields.new()
         self._has_header = ros_class._has_header
-        self._broadcaster: Any = None
         if row.frame_id:
             self._message.header.frame_id = p['frame_prefix'] + row.frame_id
         if row.child_frame_id:
             self._message.child_frame_id = p['frame_prefix'] + row.child_frame_id
-            if p['publish_tf'] and ros_class._type == ODOMETRY:
-                self._broadcaster = FrameBroadcaster(self._message.header.frame_id,
-                                                     self._message.child_frame_id)
+        self._has_pose = bool(row.child_frame_id) and p['publish_tf'] \
+            and ros_class._type == ODOMETRY
+        self._topic: Any = PoseTopic(
+            ros_row.name, ros_class, (self._message.header.frame_id, self._message.child_frame_id)
+            if self._has_pose else None)
 
     def publish(self, values: Sequence, stamp: rospy.Time) -> None:
         """Publish a message with these values; do nothing once it is closed."""
         with self._lock:
-            topic, broadcaster = self._topic, self._broadcaster
-            if topic is None or not (wanted(topic) or broadcaster and broadcaster.is_wanted) \
-                    or self._fields.lacks(values):
+            if self._topic is None or not self._topic.is_wanted or self._fields.lacks(values):
                 return
             message = self._fields.fill(self._message, values)
             if self._has_header:
                 message.header.stamp = stamp
-            if wanted(topic):
-                topic.publish(message)
-            if broadcaster:
-                at, turn = message.pose.pose.position, message.pose.pose.orientation
-                broadcaster.send((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w), stamp)
+            self._topic.publish(message, stamp, message.pose.pose if self._has_pose else None)
 
     def close(self) -> None:
         """Unregister the topic; may be called from any thread, at any time."""
         with self._lock:
             topic, self._topic = self._topic, None
-        topic.unregister()
-        if self._broadcaster:
-            self._broadcaster.close()
+        topic.close()
 
 
 class Binder:
@@ -81,7 +67,7 @@ class Binder:
 
     Args:
         link: of the board; what its rows need of it depends on their kinds.
-        p: its checked parameters, those of `row_parameters` among them, publish_tf and
+        p: its checked parameters, those of `board_parameters` among them, publish_tf and
             frame_prefix; command_age, s, if it takes commands.
     """
 
@@ -93,7 +79,6 @@ class Binder:
         self._fixed = [*(resolve(board, row) for row in board.rows), *rows_in(p)]
         self._made: Dict[str, Tuple[RosRow, Callable[[], None]]] = {}    # and what takes it down
         self._topics: Dict[Any, ValuePublisher] = {}     # by class of the message
-        self._names: Dict[str, str] = {}                 # see `serve`
 
     def serve(self, worker: LatestWorker, names: Dict[str, str], values: Dict[str, Any]) -> None:
         """Make the rows of the start; those that the board announces follow in the worker's thread.
@@ -105,7 +90,7 @@ class Binder:
         Raises:
             ParameterError: a setting's value is not allowed.
         """
-        self._names = names
+        self._names = names     # of announced rows, too
         if any(Kind.SETTING in group.kinds for group in self._board.groups):
             SettingsServer(self.link, [each.row for each in self._fixed
                                        if isinstance(each.row, Setting)], values, worker)
@@ -139,12 +124,12 @@ class Binder:
         said = list(announcement.problems)
         accepted = self._accepted(announcement.rows, said)
         self.sync(self._fixed + accepted)
-        names = [each.row.name for each in accepted]
-        self.link.session.announcement.use(text, announcement.firmware, names)
+        names, firmware = [each.row.name for each in accepted], announcement.firmware
+        self.link.session.announcement.use(text, firmware, names)
         for line in said:
             self.link.log.always_warn(line)
-        firmware = f' (firmware {announcement.firmware})' if announcement.firmware else ''
-        self.link.log.always_info(f'announces {", ".join(names) or "nothing"}{firmware}')
+        self.link.log.always_info(f'announces {", ".join(names) or "nothing"}'
+                                  + (f' (firmware {firmware})' if firmware else ''))
         rospy.set_param(f'~{self.link.name}/{ANNOUNCED}', for_xml_rpc(
             {name: announcement.rows[name] for name in names}))
 
@@ -192,26 +177,15 @@ class Binder:
 
     def _take_commands(self, ros_row: RosRow) -> Callable[[], None]:
         """Subscribe to commands; one that cannot be sent is refused with a warning."""
-        row, link = ros_row.row, self.link
-        zero = row.zero if row.motion else None
-
-        def read(message: Any) -> Any:
-            values = ros_row.fields.read(message)
-            if row.motion:
-                values, why = row.saturated(values)
-                if why:
-                    link.log.warn(f'{row.name} saturated', why)
-            return row.message(*values)
-
-        topic = CommandTopic(ros_row.name, ros_row.ros_class, read, link.writer.submit, zero,
-                             link.log, self._p['command_age'], 1 if row.newest else _WAITING)
-        if zero is None:
+        row, session = ros_row.row, self.link.session
+        topic = CommandTopic(ros_row, self.link, self._p['command_age'])
+        if not row.motion:
             return topic.close
-        link.session.add_motion(zero)
+        session.add_motion(row.zero)
 
         def take_down() -> None:
             topic.close()
-            link.writer.write(partial(link.session.remove_motion, zero))
+            self.link.writer.write(partial(session.remove_motion, row.zero))
 
         return take_down
 

@@ -5,16 +5,19 @@ connection of a dead process. Whether it may be old is judged by its connection 
 never by earlier commands.
 """
 import threading
-from typing import Any, Callable, Dict, Optional, Set
+from typing import Any, Dict, Optional, Set
 
 import rosgraph
 import rospy
 
-from ..link.link import Refused
-from ..link.sparing_log import SparingLog
+from ..link.outcome import Refused
+from .rows import RosRow
 
+_WAITING = 10               # commands that may wait, of a row of which not only the newest counts
 _LABEL = 100                # characters of a command in a warning
 _MOST_PUBLISHERS = 1000     # names to remember; each call of rostopic has a new one
+# Marks that are kept in the header of a connection, which lives as long as that:
+_REPLACED, _HAS_SENT = 'serial_communication: replaced', 'serial_communication: has sent'
 
 
 class CommandTopic:
@@ -27,33 +30,25 @@ class CommandTopic:
     - A stamp may differ from ROS time by `age_limit` at most.
 
     Args:
-        name: topic, such as ``~speed``.
-        message_class: class of its messages.
-        read: returns the command in a message; ValueError if it is none.
-        send: sends a command to the board; raises Refused if it cannot.
-        zero: the command with which nothing moves: sent whatever its stamp is, and whether it was
-            latched or not. None: there is none.
-        log: log of the link.
+        link: whose writer sends the commands.
         age_limit: s; 0 ignores the stamps.
-        queue_size: how many of the newest messages may wait.
     """
 
-    def __init__(self, name: str, message_class: Any, read: Callable[[Any], Any],
-                 send: Callable[[Any, Any], None], zero: Any, log: SparingLog, age_limit: float,
-                 queue_size: int) -> None:
-        self._name = name.lstrip('~')
-        self._topic = rospy.resolve_name(name)
-        self._read, self._send, self._zero = read, send, zero
-        self._log = log
-        self._age_limit = age_limit if message_class._has_header else 0.0
-        self._latest: Dict[str, Any] = {}   # connection by publisher; the last to send comes last
+    def __init__(self, ros_row: RosRow, link: Any, age_limit: float) -> None:
+        row = ros_row.row
+        self._row, self._fields, self._link = row, ros_row.fields, link
+        self._topic = rospy.resolve_name(ros_row.name)
+        # With it nothing moves: sent whatever its stamp is, and whether it was latched or not.
+        self._zero = row.zero if row.motion else None
+        self._age_limit = age_limit if ros_row.ros_class._has_header else 0.0
+        self._known: Dict[str, None] = {}   # names of publishers; the last to send comes last
         self._older_publishers = _publishers(self._topic)
-        self._replaced: Dict[int, Any] = {}     # headers of older connections, by their id
         self._lock = threading.RLock()      # each connection has a thread; they wait for that
         self._subscriber: Any = None        # None: not subscribed yet, or closed
         with self._lock:
-            self._subscriber = rospy.Subscriber(name, message_class, self._received,
-                                                queue_size=queue_size, tcp_nodelay=True)
+            self._subscriber = rospy.Subscriber(
+                ros_row.name, ros_row.ros_class, self._received,
+                queue_size=1 if row.newest else _WAITING, tcp_nodelay=True)
 
     def close(self) -> None:
         """Unsubscribe; messages that are received later are ignored."""
@@ -62,10 +57,16 @@ class CommandTopic:
         subscriber.unregister()
 
     def _received(self, message: Any) -> None:
+        name, log = self._row.name, self._link.log
         try:
-            command = self._read(message)
+            values = self._fields.read(message)
+            if self._row.motion:
+                values, why = self._row.saturated(values)
+                if why:
+                    log.warn(f'{name} saturated', why)
+            command = self._row.message(*values)
         except ValueError as error:
-            self._log.warn(f'{self._name} refused', f'{self._name} refused: {error}')
+            log.warn(f'{name} refused', f'{name} refused: {error}')
             return
         stamp = getattr(getattr(message, 'header', None), 'stamp', None) or None
         try:
@@ -73,33 +74,28 @@ class CommandTopic:
                 if self._subscriber is None:
                     return      # while subscribing: the connection's thread handles it later
                 self._refuse_if_old(message, command)
-                self._send(command, stamp)     # before `close` returns
+                self._link.writer.submit(command, stamp)     # before `close` returns
         except Refused as refused:
-            self._log.warn(f'{self._name} refused: {refused.cause}',
-                           f'{str(command)[:_LABEL]} refused: {refused}')
-
-    def _is_replaced(self, header: Dict[str, str]) -> bool:
-        """Whether the publisher has made a newer connection, even if that has closed."""
-        # rospy keeps them in the order in which it made them. One without a header is not ready.
-        alive = [each.header for each in self._subscriber.impl.connections if each.header]
-        sender = header.get('callerid', '')
-        older = [each for each in alive if each.get('callerid', '') == sender][:-1]
-        ids = {id(each) for each in alive}
-        self._replaced = {id(each): each for each in (*self._replaced.values(), *older)
-                          if id(each) in ids}
-        return id(header) in self._replaced or id(header) not in ids
+            log.warn(f'{name} refused: {refused.cause}',
+                     f'{str(command)[:_LABEL]} refused: {refused}')
 
     def _refuse_if_old(self, message: Any, command: Any) -> None:
         connection = message._connection_header     # one object for each connection
         sender = connection.get('callerid', '')
-        if self._is_replaced(connection):
+        # rospy keeps them in the order in which it made them; one without a header is not ready.
+        alive = [each.header for each in self._subscriber.impl.connections if each.header]
+        for older in [each for each in alive if each.get('callerid', '') == sender][:-1]:
+            older[_REPLACED] = 'yes'        # and stays so when the newer one has closed
+        if _REPLACED in connection or all(each is not connection for each in alive):
             raise Refused(f'it was received on an old connection of {sender}; only the newest '
                           f'connection to {self._topic} is used', 'old connection')
-        known = sender in self._latest
-        is_first = self._latest.pop(sender, None) is not connection
-        self._latest[sender] = connection
-        if len(self._latest) > _MOST_PUBLISHERS:
-            del self._latest[next(iter(self._latest))]
+        known = sender in self._known
+        is_first = _HAS_SENT not in connection
+        connection[_HAS_SENT] = 'yes'
+        self._known.pop(sender, None)
+        self._known[sender] = None
+        if len(self._known) > _MOST_PUBLISHERS:
+            del self._known[next(iter(self._known))]
         if command == self._zero:
             return
         if is_first and connection.get('latching') == '1' \

@@ -14,7 +14,7 @@ import socket
 import rospy.topics
 from rospy.exceptions import TransportTerminated
 
-# Of rospy 1.15.15 (Debian 12), 1.16.0 (Noetic) and 1.17.0 (Debian 13): see `_is_known`.
+# Of rospy 1.15.15 (Debian 12), 1.16.0 (Noetic) and 1.17.0 (Debian 13): see `install`.
 _KNOWN = 'f2310bee02aa63eb'
 
 
@@ -64,15 +64,8 @@ class DirectConnection(rospy.topics.QueuedConnection):
 
 
 def install() -> bool:
-    """Patch rospy; affects later subscribers. Return False if its source is not known."""
-    if not _is_known():
-        return False
-    rospy.topics.QueuedConnection = DirectConnection
-    return True
-
-
-def _is_known() -> bool:
-    """Return whether the parts of rospy that are replaced or relied on have the known source."""
+    """Patch rospy; affects later subscribers. Return False if the source of the parts that are
+    replaced or relied on is not known."""
     try:
         queued, publisher = rospy.topics.QueuedConnection, rospy.topics._PublisherImpl
         parts = [*filter(inspect.isfunction, vars(queued).values()), publisher.add_connection,
@@ -80,4 +73,7 @@ def _is_known() -> bool:
         source = ''.join(map(inspect.getsource, parts))
     except (AttributeError, OSError):     # a part is missing, or installed without its source
         return False
-    return hashlib.sha256(source.encode()).hexdigest()[:16] == _KNOWN
+    if hashlib.sha256(source.encode()).hexdigest()[:16] != _KNOWN:
+        return False
+    rospy.topics.QueuedConnection = DirectConnection
+    return True

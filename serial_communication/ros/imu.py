@@ -3,10 +3,10 @@ import struct
 from typing import Any, Dict, List, Optional, Sequence
 
 import rospy
+from geometry_msgs.msg import Pose
 from sensor_msgs.msg import Imu
 
-from .geometry import FrameBroadcaster
-from .publishing import publisher, wanted
+from .publishing import PoseTopic
 
 _HEAD = struct.Struct('<4I')        # seq, stamp, length of frame_id
 _NUMBERS = struct.Struct('<37d')
@@ -31,38 +31,31 @@ class PackedImu(Imu):
             super().serialize(buff)     # raises what rospy expects
 
 
-class ImuTopic:
+class ImuTopic(PoseTopic):
     """Publishes an IMU's messages, and its orientation on /tf if the parameters say so.
 
     Args:
-        name: of the topic.
-        p: the board's parameters.
         rate: standard deviation in rad/s; None: not measured.
         acceleration: standard deviation in m/s^2; None: not measured.
     """
 
     def __init__(self, name: str, p: Dict[str, Any], rate: Optional[float] = None,
                  acceleration: Optional[float] = None) -> None:
+        super().__init__(name, Imu, (p['imu_frame_id'], p['imu_orientation_frame_id'])
+                         if p['publish_tf'] else None)
         level = p['roll_pitch_stdev']
         self._message = PackedImu()
+        self._pose = Pose(orientation=self._message.orientation)
         self._message.header.frame_id = p['imu_frame_id']
         self._message.orientation_covariance = _covariance(level, level, p['yaw_stdev'])
         self._message.angular_velocity_covariance = \
             _NOT_MEASURED if rate is None else _covariance(rate, rate, rate)
         self._message.linear_acceleration_covariance = \
             _NOT_MEASURED if acceleration is None else _covariance(*[acceleration] * 3)
-        self._topic = publisher(name, Imu)
-        self._broadcaster = FrameBroadcaster(
-            p['imu_frame_id'], p['imu_orientation_frame_id']) if p['publish_tf'] else None
 
-    @property
-    def is_wanted(self) -> bool:
-        """Whether anything would be published."""
-        return wanted(self._topic) or bool(self._broadcaster and self._broadcaster.is_wanted)
-
-    def publish(self, stamp: rospy.Time, orientation: Sequence[float],
-                rate: Sequence[float] = (0.0, 0.0, 0.0),
-                acceleration: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
+    def send(self, stamp: rospy.Time, orientation: Sequence[float],
+             rate: Sequence[float] = (0.0, 0.0, 0.0),
+             acceleration: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         """Publish an orientation (x, y, z, w), a rate in rad/s and an acceleration in m/s^2."""
         message = self._message
         message.header.stamp = stamp
@@ -71,9 +64,7 @@ class ImuTopic:
         at.x, at.y, at.z, at.w = orientation
         turn.x, turn.y, turn.z = rate
         force.x, force.y, force.z = acceleration
-        self._topic.publish(message)
-        if self._broadcaster:
-            self._broadcaster.send((0.0, 0.0, 0.0), orientation, stamp)
+        self.publish(message, stamp, self._pose)
 
 
 def _covariance(x: float, y: float, z: float) -> List[float]:

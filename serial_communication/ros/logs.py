@@ -4,12 +4,16 @@ A terminal or a pipe that nobody reads blocks who writes to it, and a closed one
 raises. Here a log call only queues its line.
 """
 import logging
+import os
 import queue
 import sys
 from contextlib import suppress
 from logging.handlers import QueueHandler, QueueListener
 from typing import List
 
+from ..link.sparing_log import SparingLog
+
+LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
 _QUEUED = 1000    # lines that may wait for one handler; newer ones are dropped
 
 
@@ -37,10 +41,15 @@ class _Writer(QueueListener):
 _writers: List[_Writer] = []
 
 
+def sparing_log(name: str) -> SparingLog:
+    """Return a log of a link or another part."""
+    return SparingLog(name, LOGGER)
+
+
 def queue_lines() -> None:
     """Have the handlers of rospy's loggers write in threads; call this after rospy.init_node."""
     logging.raiseExceptions = False     # otherwise logging reports failures on stderr
-    for logger in logging.getLogger(), logging.getLogger('rosout'):
+    for logger in logging.getLogger(), LOGGER:
         for handler in list(logger.handlers):
             waiting = _Input(queue.SimpleQueue())   # a handler of a signal may log inside its `put`
             _writers.append(_Writer(waiting.queue, handler))
@@ -49,17 +58,15 @@ def queue_lines() -> None:
             logger.addHandler(waiting)
 
 
-def finish() -> bool:
+def finish(status: int) -> None:
     """Write the waiting lines when the process ends; a stream that is blocked blocks this.
 
-    Returns whether all were written. If not, end the process with os._exit: the interpreter's own
-    exit would fail.
+    If one is closed, end the process with this status: the interpreter's own exit would fail.
     """
     try:
         for writer in _writers:
             writer.stop()
         for stream in filter(None, (sys.stdout, sys.stderr)):
             stream.flush()
-        return True
-    except (OSError, ValueError):       # one is closed
-        return False
+    except (OSError, ValueError):
+        os._exit(status)

@@ -1,18 +1,51 @@
-"""Questions to the ROS master and to nodes, in limited time: before this process is a node, and by
-a node that watches for a new master."""
+"""A node's process: its arguments, its name, its master, and its end."""
+import argparse
 import os
+import re
 import sys
 import threading
 import time
 import xmlrpc.client
 from contextlib import suppress
-from typing import Any, Callable, Mapping
+from pathlib import Path
+from typing import Any, Callable, List, Mapping
 
 import rosgraph
 import rospy
 
+NAME_TAKEN = 3         # exit status if a node of the same name is running
 _PATIENCE = 1.0        # s for an answer
 _WATCH_EVERY = 3.0     # s
+_ARGUMENT = re.compile(r'[\w~/]+:=')    # ROS: a remapping, a parameter, or a special key (__name)
+_DESCRIPTION = f"""\
+The node that connects the serial links of a robot to ROS, usually started by bridge.launch. It
+takes ROS's arguments only; config/bridge.yaml documents its parameters.
+
+Exit status 0: it was stopped; 1: a parameter is wrong, or something failed (see the log);
+2: wrong arguments; {NAME_TAKEN}: a node of its name is already running.
+"""
+
+
+def check_arguments(arguments: List[str]) -> None:
+    """Print the usage and exit if it was asked for, or if an argument is not one of ROS's."""
+    argparse.ArgumentParser(
+        'serial_communication_node', description=_DESCRIPTION,
+        usage='%(prog)s [__name:=NAME] [__ns:=NAMESPACE] [_PARAMETER:=VALUE …] [OLD:=NEW …]',
+        formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(
+            [each for each in arguments if not _ARGUMENT.match(each)])
+
+
+def empty_ports() -> List[str]:
+    """Return the name of each link that an argument such as ``mcu_port:=`` turned off.
+
+    roslaunch drops an argument without a value, so its launch file cannot see it. Here it is read
+    from the command line of the roslaunch above this process, if that started bridge.launch.
+    """
+    with suppress(OSError, ValueError):
+        words = Path(f'/proc/{os.getppid()}/cmdline').read_text().split('\0')
+        if any(os.path.basename(word) == 'bridge.launch' for word in words):
+            return [word[:-len('_port:=')] for word in words if word.endswith('_port:=')]
+    return []
 
 
 class _Transport(xmlrpc.client.Transport):
@@ -25,8 +58,8 @@ class _Transport(xmlrpc.client.Transport):
 
 
 def ask(uri: str, question: str, *arguments: str) -> Any:
-    """Return the answer of a master or a node; None for a failure. A server that is starting or
-    ending, or is another program, may raise anything."""
+    """Return the answer of a master or a node, None for a failure; another server may raise
+    anything."""
     server = xmlrpc.client.ServerProxy(uri, _Transport())
     code, _text, value = getattr(server, question)(rospy.get_name(), *arguments)
     return value if code == 1 else None
@@ -36,11 +69,6 @@ def full_name(default: str) -> str:
     """Return this process's full node name, from its command line and environment."""
     name = rosgraph.names.load_mappings(sys.argv).get('__name', default)
     return rosgraph.names.resolve_name(name, rosgraph.names.get_ros_namespace() + 'unnamed')
-
-
-def started_by_roslaunch() -> bool:
-    """Return whether roslaunch started this process; it names each node's log file."""
-    return '__log' in rosgraph.names.load_mappings(sys.argv)
 
 
 def running_node(name: str) -> str:
@@ -62,21 +90,20 @@ def watch_master(on_new: Callable[[], None]) -> None:
     A new roscore knows neither the nodes that are running nor their parameters, and rospy does not
     notice. A master that is only gone changes nothing.
     """
-    threading.Thread(target=_watch, args=(on_new,), name='master watch', daemon=True).start()
+    def watch() -> None:
+        uri, first = rosgraph.get_master_uri(), None
+        while True:
+            with suppress(Exception):
+                pid, node = ask(uri, 'getPid'), ask(uri, 'lookupNode', rospy.get_name())
+                first = first or pid
+                if not node or pid != first:    # a topic made since may be registered at a new one
+                    break
+            time.sleep(_WATCH_EVERY)
+        if not rospy.core.is_shutdown_requested():
+            rospy.logwarn('%s is a new ROS master: this node starts again there', uri)
+            on_new()
 
-
-def _watch(on_new: Callable[[], None]) -> None:
-    uri, first = rosgraph.get_master_uri(), None
-    while True:
-        with suppress(Exception):
-            pid, node = ask(uri, 'getPid'), ask(uri, 'lookupNode', rospy.get_name())
-            first = first or pid
-            if not node or pid != first:    # a topic made since may be registered at a new one
-                break
-        time.sleep(_WATCH_EVERY)
-    if not rospy.core.is_shutdown_requested():
-        rospy.logwarn('%s is a new ROS master: this node starts again there', uri)
-        on_new()
+    threading.Thread(target=watch, name='master watch', daemon=True).start()
 
 
 def restart(environment: Mapping[str, str]) -> None:
@@ -89,3 +116,10 @@ def restart(environment: Mapping[str, str]) -> None:
     except OSError as error:
         print(f'cannot start again: {error}', file=sys.stderr)
         os._exit(1)
+
+
+def end_within(seconds: float, status: int) -> None:
+    """End the process so many seconds later, whatever hangs; the first call counts."""
+    timer = threading.Timer(seconds, os._exit, [status])
+    timer.daemon = True
+    timer.start()

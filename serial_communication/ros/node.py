@@ -9,11 +9,11 @@ import sys
 import time
 from contextlib import suppress
 from functools import partial
-from typing import Any, Dict, Tuple
+from typing import Any, Callable, Dict, Tuple
 
 import rospy
 from rospy.impl import tcpros_base
-from std_srvs.srv import Trigger
+from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger
 
 from serial_communication.srv import Release
 
@@ -21,20 +21,18 @@ from ..boards import BOARDS
 from ..boards.description import ANNOUNCED
 from ..link.link import Link
 from ..link.outcome import Refused
-from ..link.sparing_log import SparingLog
+from ..link.writer import STALLED
 from ..output import prepare_output
 from ..transport.pace import set_priority_of_all
-from . import direct, logs, parameters, starting
-from .diagnostics import Diagnostics, log_fault
-from .geometry import publish_mounts
-from .interface import LinkOptions
-from .latest_worker import LatestWorker
-from .master import full_name, restart, running_node, started_by_roslaunch, watch_master
+from . import direct, logs, parameters
+from .background import LatestWorker
+from .master import (NAME_TAKEN, check_arguments, empty_ports, end_within, full_name, restart,
+                     running_node, watch_master)
 from .parameter import ParameterError
+from .publishing import publish_mounts
+from .reports import Traffic, publish_diagnostics
 from .settings import PARAMETER as SETTINGS
 from .settings import wanted_values
-from .stop import Stop
-from .traffic import Traffic
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
 _NAME = 'serial_communication'    # the default
@@ -42,29 +40,26 @@ _PRIORITY = 1               # real-time priority of all threads, if the system a
 _SHUTDOWN = 1.0             # s for all links to end
 _CLOSES = 1.5               # s for a link to close a port that is lent
 _ANSWERED = 0.1             # s for the answers of calls that have ended to leave
-_WORKER_PAUSE = 0.1         # s: settings, and announcements, may change all the time
 _LAST_RESORT = 1.5          # s from a signal until the process ends, even if something hangs
-_PARAMETERS = 'SERIAL_COMMUNICATION_PARAMETERS'   # environment of a restart: the parameters, JSON
-_STOPPED = 'SERIAL_COMMUNICATION_STOPPED'      # likewise: not empty while ~stop holds
-_LOGGER = logging.getLogger('rosout')    # rospy's, for terminal, file and /rosout
+# Environment of a restart, JSON: the parameters, and whether ~stop holds.
+_BEFORE = 'SERIAL_COMMUNICATION_BEFORE'
 
 
 def main() -> None:
     """Run until ROS or a signal ends the node, then exit."""
     prepare_output()
-    starting.check_arguments(sys.argv[1:])
+    check_arguments(sys.argv[1:])
     sys.setswitchinterval(_SWITCH_INTERVAL)
     name = full_name(_NAME)
-    rospy.on_shutdown(partial(starting.end_within, _LAST_RESORT, 0))
+    rospy.on_shutdown(partial(end_within, _LAST_RESORT, 0))
     status = 1
     try:
         status = _run(name)
     except KeyboardInterrupt:
         status = 0
     finally:
-        starting.end_within(_LAST_RESORT, status)
-        if not logs.finish():
-            os._exit(status)
+        end_within(_LAST_RESORT, status)
+        logs.finish(status)
     sys.exit(status)
 
 
@@ -74,7 +69,7 @@ def _run(name: str) -> int:
         print(f'{name} is already running ({address}); end that node first (rosnode kill {name}), '
               'or give this one another name (name:=NAME for the launch file, __name:=NAME for the '
               'node)', file=sys.stderr)
-        return starting.NAME_TAKEN
+        return NAME_TAKEN
     try:
         rospy.init_node(_NAME)
         logs.queue_lines()
@@ -90,22 +85,23 @@ def _run(name: str) -> int:
         return 0
     except ParameterError as error:
         rospy.logfatal(error)
-        while started_by_roslaunch() and not rospy.is_shutdown():
-            time.sleep(0.1)     # roslaunch would start it again, with the same mistake
+        # roslaunch, which names each node's log file, would start it again, with the same mistake.
+        while any(each.startswith('__log:=') for each in sys.argv) and not rospy.is_shutdown():
+            time.sleep(0.1)
         return 1
     rospy.spin()
     return 0
 
 
 def _start() -> None:
-    given = _given()
+    given, is_stopped = _given()
     values, warnings = parameters.check(given, rospy.get_name())
     for board in values['boards']:      # what they announced in an earlier run
         if given.get(board.NAME, {}).pop(ANNOUNCED, None) is not None:
             rospy.delete_param(f'~{board.NAME}/{ANNOUNCED}')
     for warning in warnings:
         rospy.logwarn(warning)
-    bridge = Bridge(values, given, parameters.resolved_names(values, given))
+    bridge = Bridge(values, given, parameters.resolved_names(values, given), is_stopped)
     rospy.on_shutdown(bridge.stop)
     if rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
         return
@@ -116,40 +112,32 @@ def _start() -> None:
     watch_master(bridge.start_again)
 
 
-def _given() -> Any:
-    """Return the node's private parameters, as they are given."""
-    before = os.environ.pop(_PARAMETERS, '')
-    if before:      # a new master does not have them
-        rospy.set_param('~', json.loads(before))
-    for name in set(starting.empty_ports()) & set(BOARDS):
+def _given() -> Tuple[Any, bool]:
+    """Return the node's private parameters, as they are given, and whether ~stop holds already."""
+    given, is_stopped = json.loads(os.environ.pop(_BEFORE, '[{}, false]'))
+    if given:      # a new master does not have them
+        rospy.set_param('~', given)
+    for name in set(empty_ports()) & set(BOARDS):
         rospy.set_param(f'~{name}/port', '')
-    return rospy.get_param('~', {})
+    return rospy.get_param('~', {}), is_stopped
 
 
-def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
-    """Return the time so many seconds before `stamp`; ROS has none before 0."""
-    return rospy.Time(0, max(stamp.to_nsec() - int(seconds * 1e9), 0))
-
-
-def _offer_lending(link: Link) -> None:
-    """Offer the services; each answers whether it is done, and what to say."""
-    def release(request: Any) -> Tuple[bool, str]:
+def _offer(link: Link, name: str, service_class: Any, call: Callable[[Link, Any], str]) -> None:
+    """Offer a service that answers whether it is done, and what to say."""
+    def handle(request: Any) -> Tuple[bool, str]:
         try:
-            text = link.lending.lend(request.by, request.seconds)
-        except Refused as refused:
-            return False, str(refused)
-        if request.seconds and not link.lending.closed.wait(_CLOSES):
-            return False, 'the link did not close its port in time'
-        return True, text
-
-    def reset(_request: Any) -> Tuple[bool, str]:
-        try:
-            return True, link.lending.reset()
+            return True, call(link, request)
         except Refused as refused:
             return False, str(refused)
 
-    rospy.Service(f'~{link.name}/release', Release, release)
-    rospy.Service(f'~{link.name}/reset', Trigger, reset)
+    rospy.Service(f'~{link.name}/{name}', service_class, handle)
+
+
+def _release(link: Link, request: Any) -> str:
+    text = link.lending.lend(request.by, request.seconds)
+    if request.seconds and not link.lending.closed.wait(_CLOSES):
+        raise Refused('the link did not close its port in time', 'time')
+    return text
 
 
 def _accept_all_calls() -> None:
@@ -163,39 +151,35 @@ class Bridge:
     """All links that have a port, with their diagnostics, transforms and serial_msg.
 
     Args:
-        p: the checked parameters.
-        given: the same parameters as they were given.
+        p: the checked parameters; `given` as they were given.
         names: the resolved names of topics and services, and whose each is.
+        is_stopped: whether ~stop holds from the start.
     """
 
-    def __init__(self, p: dict, given: dict, names: Dict[str, str]) -> None:
+    def __init__(self, p: dict, given: dict, names: Dict[str, str], is_stopped: bool) -> None:
         self._given = given
         self._longest_call = p['bus/motion_timeout']
-        link_options = LinkOptions(p['frame_timeout'], rospy.Time.now, _LOGGER, _earlier)
         boards = [(board, parameters.of_board(board, p)) for board in p['boards']]
         off = [board.NAME for board, values in boards if not values['port']]
         if off:
-            _LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
-                        f'off, because no port is set: {", ".join(off)} (bridge.launch: if a port '
-                        'is given as an argument, links without a port argument are off)')
+            logs.LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
+                            f'off, because no port is set: {", ".join(off)} (bridge.launch: if a '
+                            'port is given as an argument, links without a port argument are off)')
         boards = [(board, values) for board, values in boards if values['port']]
-        self._interfaces = []
-        for board, values in boards:
-            self._interfaces.append(board(values, link_options))
-            self._interfaces[-1].link.lending.reset_line = values['reset_line']
-        self._links = sorted((interface.link for interface in self._interfaces),
+        interfaces = [board(values) for board, values in boards]
+        for interface, (_, values) in zip(interfaces, boards):
+            interface.link.lending.reset_line = values['reset_line']
+        self._links = sorted((interface.link for interface in interfaces),
                              key=lambda link: not link.session.STOPS_FIRST)
-        self._mounts = publish_mounts(p['base_frame_id'], {
+        publish_mounts(p['base_frame_id'], {
             values[f'{name}_frame_id']: values[f'{name}_mount']
             for board, values in boards for name in board.MOUNTS})
-        self._stop = Stop(self._links, bool(os.environ.pop(_STOPPED, '')))
-        self._traffic = Traffic(self._links, _LOGGER)
-        self._diagnostics = Diagnostics(self._links, _LOGGER)
-        self._worker = LatestWorker('rows', _WORKER_PAUSE,
-                                    partial(log_fault, SparingLog('rows', _LOGGER)))
-        binders = [each.binder for each in self._interfaces if each.binder]
-        for binder in binders:
-            binder.serve(self._worker, names, p[SETTINGS].get(binder.link.name, {}))
+        self._hold(is_stopped)
+        Traffic(self._links)
+        worker = LatestWorker('rows')
+        for interface in interfaces:
+            if interface.binder:
+                interface.binder.serve(worker, names, p[SETTINGS].get(interface.NAME, {}))
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -204,13 +188,33 @@ class Bridge:
         set_priority_of_all(_PRIORITY)
         for link in self._links:
             link.start()
-        self._stop.advertise()
-        for interface in self._interfaces:
-            interface.advertise()
-            _offer_lending(interface.link)
+        for link in self._links:
+            publish_diagnostics(link)
+            _offer(link, 'release', Release, _release)
+            _offer(link, 'reset', Trigger, lambda link, _request: link.lending.reset())
+        rospy.Service('~stop', SetBool, self._stop_all)
         _accept_all_calls()
-        self._worker.start()
-        self._diagnostics.start()
+
+    def _stop_all(self, request: SetBoolRequest) -> SetBoolResponse:
+        """The service ~stop."""
+        if request.data:
+            self._hold(True)      # all links first: from now on nothing moves again
+            failures = [f'{link.name}: {failure}' for link in self._links
+                        for failure in [link.stop_motion()] if failure]
+            rospy.logwarn('~stop: all that moves is stopped until ~stop is called with data: '
+                          + '; '.join(['false', *failures]))
+            return SetBoolResponse(not failures, '; '.join(failures) or 'stopped')
+        if not all(link.writer.fresh.is_fresh(link.now()) for link in self._links):
+            return SetBoolResponse(False, STALLED)
+        if self._is_stopped:
+            rospy.loginfo('~stop: released')
+        self._hold(False)
+        return SetBoolResponse(True, 'released')
+
+    def _hold(self, is_stopped: bool) -> None:
+        self._is_stopped = is_stopped
+        for link in self._links:
+            link.session.is_stopped = is_stopped
 
     def stop(self) -> None:
         """Send SPEED 0 first, then stop everything; takes 1 s at most, even if a port hangs."""
@@ -233,5 +237,5 @@ class Bridge:
         self.stop()
         time.sleep(_ANSWERED)
         wanted = {**self._given.get(SETTINGS, {}), **wanted_values(self._links)}
-        restart({_PARAMETERS: json.dumps({**self._given, SETTINGS: wanted}, default=str),
-                 _STOPPED: 'yes' if self._stop.holds else ''})
+        restart({_BEFORE: json.dumps([{**self._given, SETTINGS: wanted}, self._is_stopped],
+                                     default=str)})

@@ -41,11 +41,8 @@ class Parameter(NamedTuple):
         return f'may be {kind}{bounds}' + (f' ({self.unit})' if self.unit else '')
 
     def check(self, value: Any) -> Any:
-        """Return the value as the parameter's type.
-
-        Raises:
-            ValueError: it has another type, or is out of range.
-        """
+        """Return the value as the parameter's type; ValueError if it is of another or out of
+        range."""
         wanted = type(self.default)
         if wanted is float and type(value) is int:
             value = float(value)

@@ -20,14 +20,14 @@ from .settings import start_values
 _COMMON = 'serial_msg', '~get_loggers', '~set_logger_level', '~stop'     # names of any bridge
 
 
-def _names(given: Any) -> List[str]:
-    if not isinstance(given, list) or not all(isinstance(name, str) for name in given):
-        raise ValueError
-    return given
+def _texts(given: Any) -> List[str]:
+    if type(given) is list and all(type(each) is str for each in given):
+        return given
+    raise ValueError
 
 
 NODE_PARAMETERS: Parameters = {
-    'boards': Parameter([], unit='names of Python packages with a board', parse=_names),
+    'boards': Parameter([], unit='names of Python packages with a board', parse=_texts),
     'frame_timeout': seconds(0.05, 0.001, 10.0),
     'publish_tf': Parameter(False),
     'base_frame_id': frame_id('base_link'),
@@ -41,15 +41,8 @@ def table(interfaces: List[Type[Interface]]) -> Parameters:
     """Return all parameters by full name; a board's are in a group with the board's name."""
     return {**NODE_PARAMETERS, **{f'{interface.NAME}/{name}': parameter
                                   for interface in interfaces
-                                  for name, parameter in _of_interface(interface).items()}}
-
-
-def _of_interface(interface: Type[Interface]) -> Parameters:
-    """Its parameters, and the one that every board has."""
-    return {'reset_line': RESET_LINE, **interface.PARAMETERS}
-
-
-PARAMETERS = table(BUILT_IN)
+                                  for name, parameter in {'reset_line': RESET_LINE,
+                                                          **interface.PARAMETERS}.items()}}
 
 
 def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[str]]:
@@ -58,12 +51,8 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
     Frame ids have `frame_prefix` before them. `boards` has the interfaces of all boards.
 
     Args:
-        given: the tree that the parameter server holds under `namespace`.
-
-    Raises:
-        ParameterError: a value is wrong; the text names the parameter, its value and what it may
-            be.
-        Exception: whatever the import of another package's board raises.
+        given: the tree that the parameter server holds under `namespace`; ParameterError for a
+            value that is wrong, and whatever the import of another package's board raises.
     """
     flat = dict(_group(namespace, given))
     packages = _value('boards', NODE_PARAMETERS['boards'], flat.pop('boards', []), namespace)
@@ -86,17 +75,14 @@ def check(given: Dict[str, Any], namespace: str) -> Tuple[Dict[str, Any], List[s
 
 def of_board(interface: Type[Interface], values: Dict[str, Any]) -> Dict[str, Any]:
     """Return the values for an interface: the board's without their group, and the node's."""
-    own = {name: values[f'{interface.NAME}/{name}'] for name in _of_interface(interface)}
-    return {**{name: values[name] for name in NODE_PARAMETERS}, **own}
+    prefix = interface.NAME + '/'
+    return {name[len(prefix):] if name.startswith(prefix) else name: value
+            for name, value in values.items() if '/' not in name or name.startswith(prefix)}
 
 
 def resolved_names(values: Dict[str, Any], given: Dict[str, Any]) -> Dict[str, str]:
-    """Return the resolved names of all topics and services, and whose each is.
-
-    Raises:
-        ParameterError: two have one name, by a remapping or because of the node's own name; rospy
-            would mix them in silence.
-    """
+    """Return the resolved names of all topics and services, and whose each is. ParameterError: two
+    have one, by a remapping or because of the node's own name; rospy would mix them in silence."""
     names = {rospy.resolve_name(name): name for name in _COMMON}
     for board, package in zip(values['boards'], (*BOARDS, *given.get('boards', ()))):
         own = of_board(board, values)

@@ -5,12 +5,12 @@ has registered anything or opened a port.
 """
 from dataclasses import replace
 from functools import partial
-from typing import Any, Dict, List, NamedTuple, Optional
+from typing import Any, Dict, List, NamedTuple
 
 from ..boards.description import Description
 from ..framing.rows import Kind, Row, RowError
 from .fields import RosFields, find_type
-from .parameter import Parameter, Parameters
+from .parameter import PORT, Parameter, Parameters, baud
 
 ODOMETRY = 'nav_msgs/Odometry'
 
@@ -22,22 +22,18 @@ class RosRow(NamedTuple):
     name: str                       # of the topic, service or parameter, relative to the node
     ros_class: Any = None           # of the messages or the service; None: of a setting
     fields: Any = None              # RosFields of the message, or of the service's response
-    request: Optional[RosFields] = None     # of a service's request
+    request: Any = None             # RosFields of a service's request
 
     def stop_request(self) -> Any:
         """The request with every field 0, which ~stop sends; ValueError if that is out of range."""
         row: Any = self.row
-        assert self.request
         return row.make_request(self.request.read(self.ros_class._request_class()))
 
 
-def row_parameters(board: Description, announcements: bool = True) -> Parameters:
-    """The parameters with a board's rows, and the one that says whether it may announce some.
-
-    Args:
-        announcements: its default.
-    """
-    return {'announcements': Parameter(announcements), **{
+def board_parameters(board: Description, announcements: bool = True) -> Parameters:
+    """The parameters with a board's port and rows, and the one that says whether it may announce
+    some, whose default is given."""
+    return {'port': PORT, 'baud': baud(board), 'announcements': Parameter(announcements), **{
         group.parameter: Parameter({}, parse=partial(read_rows, board, group.parameter))
         for group in board.groups}}
 

@@ -4,20 +4,21 @@ dynamic_reconfigure's own Server has a fixed list of parameters, and calls the m
 its lock. So this module has the topics and the service of one, with dynamic_reconfigure's messages.
 """
 from functools import partial
-from types import SimpleNamespace
-from typing import Any, Dict, Iterable, List, Mapping
+from typing import Any, Dict, Iterable, Mapping
 
 import rospy
-from dynamic_reconfigure.encoding import encode_config, encode_description, get_tree
-from dynamic_reconfigure.msg import Config, ConfigDescription
+from dynamic_reconfigure.encoding import encode_config
+from dynamic_reconfigure.msg import (Config, ConfigDescription, Group, GroupState,
+                                     ParamDescription)
 from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
 from ..framing.layout import FRACTIONS
 from ..framing.rows import RowError, Setting
 from ..link.link import Link
 from ..link.settings import State
-from .latest_worker import LatestWorker
+from .background import LatestWorker
 from .parameter import ParameterError
+from .publishing import publisher
 
 PARAMETER = 'settings'     # of the node: values by link and name
 _ANSWER = 0.48             # s that a call waits for the board
@@ -54,11 +55,8 @@ class SettingsServer:
 
     Args:
         rows: that are there at the start.
-        values: that are wanted at the start, and that the parameter server has, by name.
-        worker: calls the master.
-
-    Raises:
-        ParameterError: a value that its row does not allow.
+        values: that are wanted at the start, and that the parameter server has, by name;
+            ParameterError for one that its row does not allow.
     """
 
     def __init__(self, link: Link, rows: Iterable[Setting], values: Dict[str, Any],
@@ -74,10 +72,9 @@ class SettingsServer:
         self._settings: Any = link.session.board_settings
         self._settings.wanted.update(values)
         self._set_values = dict(values)     # that the parameter server has
-        self._worker = worker
         self._name = f'~{PARAMETER}/{link.name}'
-        self._server: Any = None    # two publishers and a service; None: there are no settings
-        self._rows: List[Setting] = []      # that are published
+        self._server: Any = ()      # two publishers and a service; empty: there are no settings
+        self._described: Any = None         # the description that is published
         self._settings.on_change = partial(worker.submit, self.update)
 
     def update(self) -> None:
@@ -85,21 +82,18 @@ class SettingsServer:
         shown = self._settings.shown()
         if shown and not self._server:
             self._server = (
-                rospy.Publisher(self._name + '/parameter_descriptions', ConfigDescription,
-                                latch=True, queue_size=10),
-                rospy.Publisher(self._name + '/parameter_updates', Config, latch=True,
-                                queue_size=10),
+                publisher(self._name + '/parameter_descriptions', ConfigDescription, latch=True),
+                publisher(self._name + '/parameter_updates', Config, latch=True),
                 rospy.Service(self._name + '/set_parameters', Reconfigure, self._set))
         if shown:
-            descriptions, updates, _ = self._server
-            rows = [each.row for each in shown.values()]
-            if rows != self._rows:
-                descriptions.publish(_description(rows))
-                self._rows = rows
-            updates.publish(_config(shown))
+            description = _description(shown)
+            if description != self._described:
+                self._described = description
+                self._server[0].publish(description)
+            self._server[1].publish(_config(shown))
         elif self._server:
             descriptions, updates, service = self._server
-            self._server, self._rows = None, []
+            self._server, self._described = (), None
             service.shutdown()
             descriptions.unregister()
             updates.unregister()
@@ -111,31 +105,33 @@ class SettingsServer:
 
     def _set(self, request: Any) -> Any:
         """Want the values of a request; return those that the board uses then."""
-        config, shown = request.config, self._settings.shown()
-        given = {each.name: each.value for each in (*config.bools, *config.ints, *config.doubles)
-                 if each.name in shown}
+        shown = self._settings.shown()
+        given = {name: value for name, value in _values(request.config).items() if name in shown}
         for name, value in given.items():
             row = shown[name].row
             self._settings.want(name, min(max(value, row.minimum), row.maximum))
         self._settings.wait(given, _ANSWER)
-        for name, each in self._settings.shown().items():
-            if name in given and not each.is_settled:
-                self._link.log.warn(f'set {name}', f'the setting {name} = {each.wanted} is not '
+        shown = self._settings.shown()
+        for name in given.keys() & shown.keys():
+            _row, value, wanted, is_settled = shown[name]
+            if not is_settled:
+                self._link.log.warn(f'set {name}', f'the setting {name} = {wanted} is not '
                                     'confirmed by the board yet; it is sent until it is')
-            elif name in given and each.wanted is not None and each.value != each.wanted:
-                self._link.log.warn(f'set {name}', f'the setting {name} cannot be {each.wanted}: '
-                                    f'the board uses {each.value}')
-                self._settings.want(name, each.value)
+            elif wanted is not None and value != wanted:
+                self._link.log.warn(f'set {name}', f'the setting {name} cannot be {wanted}: '
+                                    f'the board uses {value}')
+                self._settings.want(name, value)
         return ReconfigureResponse(_config(self._settings.shown()))
 
 
-def _config(shown: Mapping[str, State]) -> Any:
+def _config(shown: Mapping[str, State]) -> Config:
     values = {}
     for name, each in shown.items():
         value = each.value if each.is_settled and each.value is not None else each.wanted
         values[name] = _type(each.row)(each.row.default if value is None else value)
-    return encode_config({**values, 'groups': get_tree(
-        _description([each.row for each in shown.values()]))})
+    config = encode_config(values)
+    config.groups.append(GroupState('Default', True, 0, 0))
+    return config
 
 
 def request_of(row: Setting, value: Any) -> Any:
@@ -145,9 +141,11 @@ def request_of(row: Setting, value: Any) -> Any:
 
 def value_in(response: Any, row: Setting) -> Any:
     """Return the value of a setting in a response; None if it is not there."""
-    config = response.config
-    return next((each.value for each in (*config.bools, *config.ints, *config.doubles)
-                 if each.name == row.name), None)
+    return _values(response.config).get(row.name)
+
+
+def _values(config: Any) -> Dict[str, Any]:
+    return {each.name: each.value for each in (*config.bools, *config.ints, *config.doubles)}
 
 
 def _type(row: Setting) -> type:
@@ -155,16 +153,14 @@ def _type(row: Setting) -> type:
     return bool if row.code == '?' else float if row.code in ('I', *FRACTIONS) else int
 
 
-def _description(rows: List[Setting]) -> Any:
-    types = {row.name: _type(row) for row in rows}
-    return encode_description(SimpleNamespace(
-        min={row.name: types[row.name](row.minimum) for row in rows},
-        max={row.name: types[row.name](row.maximum) for row in rows},
-        defaults={row.name: types[row.name](row.default) for row in rows},
-        config_description={
-            'name': 'Default', 'id': 0, 'parent': 0, 'type': '', 'groups': [],
-            'parameters': [{
-                'name': row.name, 'level': 0, 'edit_method': '',
-                'type': {bool: 'bool', int: 'int', float: 'double'}[types[row.name]],
-                'description': f'{row.description} [{row.unit}]' if row.unit else row.description,
-            } for row in rows]}))
+def _description(shown: Mapping[str, State]) -> ConfigDescription:
+    rows = [each.row for each in shown.values()]
+    types = {bool: 'bool', int: 'int', float: 'double'}
+
+    def encode(limit: str) -> Config:
+        return encode_config({row.name: _type(row)(getattr(row, limit)) for row in rows})
+
+    return ConfigDescription([Group('Default', '', [
+        ParamDescription(row.name, types[_type(row)], 0, f'{row.description} [{row.unit}]'
+                         if row.unit else row.description, '')
+        for row in rows], 0, 0)], encode('maximum'), encode('minimum'), encode('default'))

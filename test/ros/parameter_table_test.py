@@ -14,8 +14,9 @@ from unittest import mock
 import rosunit
 import yaml
 
-from serial_communication.ros.parameters import PARAMETERS, ParameterError, check
+from serial_communication.ros.parameters import BUILT_IN, ParameterError, check, table
 
+PARAMETERS = table(BUILT_IN)
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), '..', '..', 'config',
                       'bridge.yaml')
 

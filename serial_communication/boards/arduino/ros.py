@@ -7,14 +7,15 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Bool, Header
 from std_srvs.srv import Empty, EmptyResponse
 
+from ...link.link import Link
 from ...link.outcome import Refused
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
-from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import MOUNT, PORT, RESET_LINE, Parameter, baud, frame_id, seconds
+from ...ros.interface import Interface, link_arguments
+from ...ros.logs import sparing_log
+from ...ros.parameter import MOUNT, RESET_LINE, Parameter, frame_id, seconds
 from ...ros.publishing import publisher, wanted
-from ...ros.rows import row_parameters
-from ...transport.port import Port
+from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
 from .session import CarOptions, CarSession
 
@@ -27,8 +28,7 @@ class ArduinoInterface(Interface):
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
-        'port': PORT,
-        'baud': baud(DESCRIPTION),
+        **board_parameters(DESCRIPTION),
         'reset_on_open': Parameter(False),
         'reset_line': RESET_LINE._replace(default='dtr'),
         # At 34 Hz a heartbeat is sent every 29 ms; the board stops its motor after 30 ms without.
@@ -38,7 +38,6 @@ class ArduinoInterface(Interface):
         'network_silence': seconds(_DEFAULTS.network_silence, 0.0, 3600.0),
         'calibration_timeout': seconds(_DEFAULTS.calibration_timeout, 1.0, 86400.0),
         'check_plausibility': Parameter(_DEFAULTS.check_plausibility),
-        **row_parameters(DESCRIPTION),
         'board_time': Parameter(True),
         'gyro_scale': Parameter(wire.GYRO_SCALE, -1.0, 1.0, unit='rad/s per LSB'),
         'linear_acceleration_stdev': Parameter(400e-6 * 9.807, 0.0, 1e3, unit='m/s^2'),
@@ -52,8 +51,7 @@ class ArduinoInterface(Interface):
     MOUNTS = ('imu',)
     binder: Binder
 
-    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
-        p = parameters
+    def __init__(self, p: Dict[str, Any]) -> None:
         self._gyro_scale = p['gyro_scale']
         self._imu = ImuTopic('~imu', p, p['angular_velocity_stdev'],
                              p['linear_acceleration_stdev'])
@@ -63,14 +61,11 @@ class ArduinoInterface(Interface):
         self._calibrating.publish(False)
         options = CarOptions(**{name: p[name] for name in CarOptions._fields})
         session = CarSession(
-            link_options.log(self.NAME), options, on_message=self._received,
-            on_log=self._log, on_calibrating=lambda on: self._calibrating.publish(on),
-            byte_time=10.0 / p['baud'])
-        self.link = link_options.link(Port(p['port'], p['baud'], p['reset_on_open']), session,
-                                      p['board_time'])
+            sparing_log(self.NAME), options, on_message=self._received,
+            on_log=lambda severity, text: _LOG_FUNCTIONS[severity]('arduino says: %s', text),
+            on_calibrating=self._calibrating.publish, byte_time=10.0 / p['baud'])
+        self.link = Link(session=session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
-
-    def advertise(self) -> None:
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
 
     def _calibrate(self, _request: Any) -> EmptyResponse:
@@ -85,15 +80,11 @@ class ArduinoInterface(Interface):
             self.binder.publish(message, stamp)
             return
         if self._imu.is_wanted:
-            self._imu.publish(stamp, message.orientation(),
-                              message.angular_velocity(self._gyro_scale),
-                              message.linear_acceleration())
+            self._imu.send(stamp, message.orientation(),
+                           message.angular_velocity(self._gyro_scale),
+                           message.linear_acceleration())
         if wanted(self._temperature):
             self._temperature.publish(Header(0, stamp, self._frame_id), message.temperature(), 0.0)
-
-    @staticmethod
-    def _log(severity: int, text: str) -> None:
-        _LOG_FUNCTIONS[severity]('arduino says: %s', text)
 
 
 INTERFACE = ArduinoInterface

@@ -4,6 +4,7 @@ from typing import Any, Dict
 
 import rospy
 from sensor_msgs.msg import RelativeHumidity, Temperature
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger, TriggerResponse
 
 from serial_communication.msg import Environment
@@ -13,11 +14,11 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
 from ...link.outcome import Outcome
 from ...ros.answers import fill_response
 from ...ros.binder import Binder
-from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import PORT, Parameter, baud, seconds
-from ...ros.publishing import publisher, wanted
-from ...ros.rows import row_parameters
-from ...transport.port import Port
+from ...ros.interface import Interface, link_arguments
+from ...ros.logs import sparing_log
+from ...ros.parameter import Parameter, seconds
+from ...ros.publishing import publisher
+from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
 from .link import BusLink, MasterOptions, MasterSession
 
@@ -29,8 +30,7 @@ class BusInterface(Interface):
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
-        'port': PORT,
-        'baud': baud(DESCRIPTION),
+        **board_parameters(DESCRIPTION, _DEFAULTS.announcements),
         'reply_timeout': seconds(_DEFAULTS.reply_timeout, 0.01, 60.0),
         'motion_timeout': seconds(_DEFAULTS.motion_timeout, 0.01, 600.0),
         'retries': Parameter(_DEFAULTS.retries, 0, 100),
@@ -38,27 +38,21 @@ class BusInterface(Interface):
         'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'echo': Parameter(_DEFAULTS.echo),
-        **row_parameters(DESCRIPTION, _DEFAULTS.announcements),
     }
     link: BusLink
 
-    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
-        p = parameters
-        session = MasterSession(link_options.log(self.NAME), MasterOptions(
+    def __init__(self, p: Dict[str, Any]) -> None:
+        session = MasterSession(sparing_log(self.NAME), MasterOptions(
             **{name: p[name] for name in MasterOptions._fields}))
         if p['environment_period']:
             session.polls.add(wire.ENVIRONMENT_FUNCTION, p['environment_period'],
                               self._publish_environment)
-        self.link = BusLink(Port(p['port'], p['baud']), session, link_options.frame_timeout,
-                            link_options.clock, link_options.earlier)
+        self.link = BusLink(session=session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
         self._frame_id = p['base_frame_id']
-
-    def advertise(self) -> None:
-        """Offer the services that no row describes."""
         rospy.Service('~get_environment', GetEnvironment, self._get_environment)
         rospy.Service('~bus/echo', Trigger, self._echo)
         rospy.Service('~bus/sync', Trigger, self._sync)
@@ -98,16 +92,12 @@ class BusInterface(Interface):
     def _publish_environment(self, outcome: Outcome) -> None:
         message = self._message(outcome)
         self._environment.publish(message)
-        if wanted(self._temperature):
-            self._temperature.publish(Temperature(message.header, message.temperature, 0.0))
-        if wanted(self._humidity):
-            self._humidity.publish(RelativeHumidity(message.header, message.humidity / 100, 0.0))
+        self._temperature.publish(message.header, message.temperature, 0.0)
+        self._humidity.publish(message.header, message.humidity / 100, 0.0)
 
     def _message(self, outcome: Outcome) -> Environment:
-        message = Environment(None, *wire.Environment.unpack(outcome.data))
-        message.header.stamp = outcome.stamp
-        message.header.frame_id = self._frame_id
-        return message
+        header = Header(0, outcome.stamp, self._frame_id)
+        return Environment(header, *wire.Environment.unpack(outcome.data))
 
 
 INTERFACE = BusInterface

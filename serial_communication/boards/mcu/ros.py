@@ -4,19 +4,20 @@ from typing import Any, Dict, Optional, Type
 
 import rospy
 from sensor_msgs.msg import Range
+from std_msgs.msg import Header
 
 from serial_communication.msg import McuStatus, McuStatus2
 
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
+from ...link.link import Link
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
-from ...ros.interface import LinkOptions, Interface
-from ...ros.parameter import (MOUNT, PORT, RESET_LINE, Parameter, ParameterError, baud,
-                              frame_id, seconds)
+from ...ros.interface import Interface, link_arguments
+from ...ros.logs import sparing_log
+from ...ros.parameter import MOUNT, RESET_LINE, Parameter, ParameterError, frame_id, seconds
 from ...ros.publishing import publisher, wanted
-from ...ros.rows import row_parameters
-from ...transport.port import Port
+from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
 from .session import SensorSession
 
@@ -28,13 +29,11 @@ class McuInterface(Interface):
 
     NAME = DESCRIPTION.name
     PARAMETERS = {
-        'port': PORT,
-        'baud': baud(DESCRIPTION),
+        **board_parameters(DESCRIPTION),
         'reset_line': RESET_LINE._replace(default='rts'),
         'timeout': seconds(1.0, 0.01, 3600.0),
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
-        **row_parameters(DESCRIPTION),
         'board_time': Parameter(True),
         'roll_pitch_stdev': Parameter(radians(1.0), 0.0, pi, unit='rad'),
         'yaw_stdev': Parameter(radians(5.0), 0.0, pi, unit='rad'),
@@ -52,22 +51,22 @@ class McuInterface(Interface):
     MOUNTS = ('imu', 'range_1', 'range_2')
     binder: Binder
 
-    def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
-        p = parameters
+    def __init__(self, p: Dict[str, Any]) -> None:
         if p['min_range'] >= p['max_range']:
             raise ParameterError(f'parameter {rospy.resolve_name("~mcu/min_range")} is '
                                  f'{p["min_range"]:g} m, has to be less than mcu/max_range, which '
                                  f'is {p["max_range"]:g} m')
         self._turn = -1.0 if p['yaw_clockwise'] else 1.0
-        self._ranges = [(publisher(f'mcu/range_{number}', Range), _range(p, number))
-                        for number in (1, 2)]
+        self._ranges = [(publisher(f'mcu/{name}', Range), Range(
+            Header(frame_id=p[f'{name}_frame_id']), Range.INFRARED, p['field_of_view'],
+            p['min_range'], p['max_range'], nan)) for name in ('range_1', 'range_2')]
         self._status = publisher('mcu/status', McuStatus2)
         self._adc_status = publisher('mcu/adc_status', McuStatus)
         self._imu = ImuTopic('mcu/imu', p)
         self._session = SensorSession(
-            link_options.log(self.NAME), p['timeout'], on_status=self._received,
+            sparing_log(self.NAME), p['timeout'], on_status=self._received,
             on_silence=self._silent, network_silence=p['network_silence'])
-        self.link = link_options.link(Port(p['port'], p['baud']), self._session, p['board_time'])
+        self.link = Link(session=self._session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
@@ -75,23 +74,20 @@ class McuInterface(Interface):
             self.binder.publish(message, stamp)
             return
         now = self.link.now()
-        age = now - (self._session.presence.frame_at or now)
-        if type(message) is wire.AdcStatus:
-            if wanted(self._adc_status):
-                self._adc_status.publish(stamp, seq, True, True, self._session.checksum_errors, age,
-                                         *message)
+        is_adc = type(message) is wire.AdcStatus
+        (self._adc_status if is_adc else self._status).publish(
+            stamp, seq, True, is_adc or message.valid, self._session.checksum_errors,
+            now - (self._session.presence.frame_at or now), *message)
+        if is_adc:
             return
-        if wanted(self._status):
-            self._status.publish(stamp, seq, True, message.valid,
-                                 self._session.checksum_errors, age, *message)
         for (topic, out), millimetres in zip(self._ranges, message[:2]):
             if wanted(topic):
                 out.header.stamp = stamp
                 out.range = _metres(millimetres, out.min_range, out.max_range)
                 topic.publish(out)
         if message.angles_known and self._imu.is_wanted:
-            self._imu.publish(stamp, quaternion(radians(message.roll), radians(message.pitch),
-                                                radians(message.yaw) * self._turn))
+            self._imu.send(stamp, quaternion(radians(message.roll), radians(message.pitch),
+                                             radians(message.yaw) * self._turn))
 
     def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
         if kind and kind.TYPE not in wire.MESSAGES:
@@ -109,13 +105,6 @@ def _metres(millimetres: int, low: float, high: float) -> float:
         return nan
     metres = millimetres / 1000
     return -inf if metres < low else inf if metres > high else metres
-
-
-def _range(p: Dict[str, Any], number: int) -> Range:
-    message = Range(radiation_type=Range.INFRARED, field_of_view=p['field_of_view'],
-                    min_range=p['min_range'], max_range=p['max_range'])
-    message.header.frame_id = p[f'range_{number}_frame_id']
-    return message
 
 
 INTERFACE = McuInterface

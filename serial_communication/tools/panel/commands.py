@@ -20,7 +20,7 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
 from ...ros.answers import outcome_fields
-from ...ros.latest_worker import LatestWorker
+from ...ros.background import LatestWorker
 from ...ros.settings import request_of, value_in
 from ..watch.calls import MOST_WAIT, Answer, Verdict, call
 from ..watch.state import BridgeState

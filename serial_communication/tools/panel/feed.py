@@ -13,7 +13,7 @@ from typing import Any, Deque, Dict, Iterable, List, Optional, Set, Tuple
 import rospy
 from rosgraph_msgs.msg import Log
 
-from ...ros.latest_worker import LatestWorker
+from ...ros.background import LatestWorker
 from ..watch.state import BridgeState, LinkState, TopicState
 from ..watch.topics import DIAGNOSTICS, SERIAL_MSG, BridgeTopic, FieldValue
 from ..watch.watcher import Watcher

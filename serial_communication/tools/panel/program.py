@@ -12,7 +12,6 @@ import socket
 import sys
 import threading
 import time
-import traceback
 from typing import Callable, List
 
 import rosgraph
@@ -21,9 +20,9 @@ import tornado.ioloop
 
 from ...link.sparing_log import SparingLog
 from ...ros import logs
-from ...ros.latest_worker import LatestWorker
-from ...ros.master import full_name, restart, running_node, watch_master
-from ...ros.starting import NAME_TAKEN, end_within
+from ...ros.background import LatestWorker
+from ...ros.master import (NAME_TAKEN, end_within, full_name, restart, running_node,
+                           watch_master)
 from ..watch.master import wait_for_master
 from .addresses import free_port, listen, listener, listen_near, page_address, qr_code
 from .cli import DEFAULT_PORT, print_error
@@ -86,8 +85,7 @@ def run(options: argparse.Namespace) -> int:
     try:
         status = _serve(options)
     finally:
-        if not logs.finish():
-            os._exit(status)
+        logs.finish(status)
     return status
 
 
@@ -125,10 +123,7 @@ def _serve(options: argparse.Namespace) -> int:
     loop = tornado.ioloop.IOLoop.current()
     log = SparingLog('panel', logging.getLogger('rosout'))
     node = rospy.resolve_name(options.node)
-    # The pause: a page may change what it shows 100 times a second.
-    registrar = LatestWorker('registrar', 0.1, lambda _error: log.error(
-        'registering', traceback.format_exc()))
-    registrar.start()
+    registrar = LatestWorker('registrar')
     commands = Commands(node, registrar, loop.add_callback, loop.call_later) \
         if options.control else None
     hub = Hub(Feed(node, rosgraph.get_master_uri(), registrar), commands, log)
