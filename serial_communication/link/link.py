@@ -176,6 +176,8 @@ class Link:
             self.session.presence.opened(now)
             self.writer.opened(now)
             self.session.begin(now, is_opening=True)
+            if lending.runs:        # it was lent during the opening
+                self.port.give_up(str(lending.loan))
 
     def _lost(self, why: str) -> None:
         """The port is gone, or given up."""
@@ -257,8 +259,7 @@ class Link:
             self.writer.begin_anew(f'nothing received from the board for {limit:g} s')
         if now >= self._settings_at:
             self._settings_at = now + _LOOK_AT_SETTINGS
-            changed = self.port.changed_settings()
-            if changed:
+            if self.port.changed_settings():
                 self.writer.begin_anew(
-                    f'{self.port.url}: another program changed the settings of this port '
-                    f'({changed}); keep other programs (stty, a serial monitor) off it')
+                    f'{self.port.url}: another program changed the settings of this port; keep '
+                    'other programs (stty, a serial monitor) off it')
