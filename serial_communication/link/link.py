@@ -12,7 +12,7 @@ from .lending import Lending
 from .outcome import Refused
 from .receiver import Receiver
 from .reopening import Reopening
-from .report import Report, Reporter
+from .report import Report, report
 from .session import Doubt, Session
 from .sparing_log import SparingLog
 from .stamps import Stamps
@@ -53,14 +53,12 @@ class Link:
         self.receiver = Receiver(session, self.traffic,
                                  FrameTimer(session.decoder, frame_timeout, port.baud),
                                  Stamps(port, earlier, session.log, board_time))
-        self._reporter = Reporter(port, session, self.traffic, self.lending, self.reopening,
-                                  self.receiver)
         self._clock = clock
         self._due = 0.0                 # the next round, at the latest
         self._look_at = 0.0             # when to ask the session what is due
         self._settings_at = 0.0         # when to look at the settings of a tty
         self._publishes_at = 0.0        # what is received before is old
-        self._thread = Loop(f'{session.NAME} link', self.step)
+        self._thread = Loop(f'{session.NAME} link', self.step, session.log)
         session.wake = self.wake
 
     @property
@@ -83,7 +81,7 @@ class Link:
         """Start all threads of the link; none is started later."""
         self._thread.start()
         if self.session.BEATS:
-            beat = Loop(f'{self.name} heartbeat', self.writer.beat,
+            beat = Loop(f'{self.name} heartbeat', self.writer.beat, self.log,
                         lambda due: time.sleep(max(due - self.now(), 0.0)))
             beat.start()
             self.session.log.info('priority', prefer(beat))
@@ -116,7 +114,7 @@ class Link:
 
     def report(self, now: float) -> Report:
         """To be called once a second: the errors since the last call are those of that second."""
-        return self._reporter.report(now)
+        return report(self, now)
 
     # -- rounds, in the link's thread -------------------------------------------------------
 
@@ -153,15 +151,13 @@ class Link:
                 self.port.close()
                 self.reopening.failed(str(error) if isinstance(error, PortError)
                                       else f'fault while opening it: {error!r}', self.now())
-        opens_at = self.lending.loan.until if self.lending.runs else self.reopening.at
+        opens_at = self.lending.until if self.lending.runs else self.reopening.at
         return min(opens_at, now + _LONGEST_SLEEP, _NEVER if due is None else due)
 
     def _open(self) -> None:
         lending = self.lending
-        if lending.loan.by:
-            if self.port.is_used():
-                raise PortError(f'it was {lending.loan}, and another program still has it open')
-            lending.loan = lending.loan._replace(by='')
+        if lending.by and self.port.is_used():
+            raise PortError(f'it was lent to {lending.by}, and another program still has it open')
         self.writer.fresh.rest('link')
         try:
             self.port.open()
@@ -176,8 +172,10 @@ class Link:
             self.session.presence.opened(now)
             self.writer.opened(now)
             self.session.begin(now, is_opening=True)
-            if lending.runs:        # it was lent during the opening
-                self.port.give_up(str(lending.loan))
+            if lending.runs:        # since the opening has begun
+                self.port.give_up(f'lent to {lending.by}')
+            else:
+                lending.by = ''
 
     def _lost(self, why: str) -> None:
         """The port is gone, or given up."""
@@ -245,14 +243,13 @@ class Link:
                 self.writer.begin_anew(str(doubt))
             except Refused:
                 pass        # the session was told
-        session.presence.check(
-            session.talks(now), f'{session.silence()}; check its power, its wiring and the baud '
-            f'rate ({self.port.baud})', now)
+        session.presence.check(session.talks(now), self.port.baud, now)
         return now + _LONGEST_SLEEP if due is None else min(due, now + _LONGEST_SLEEP)
 
     def _check_port(self, now: float) -> None:
         """Begin anew where the port may hold something back, or change it."""
-        presence, limit = self.session.presence, self.session.longest_silence()
+        session, presence = self.session, self.session.presence
+        limit = session.network_silence if session.reads(now) else 0.0
         if self.port.hides and presence.frame_at is not None and not self.writer.is_silent \
                 and 0 < limit <= now - presence.byte_at:
             self.writer.is_silent = True

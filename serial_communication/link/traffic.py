@@ -23,6 +23,7 @@ class Traffic:
         self.frames_received = 0           # valid ones
         self.frames_sent = 0
         self.stale = 0                     # bytes dropped because they may be old
+        self.reported_errors = 0           # those until the latest report
         self.errors: Dict[str, int] = Counter(dict.fromkeys(causes, 0))     # by cause
         self._name, self._log = name, log
 

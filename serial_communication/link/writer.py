@@ -1,5 +1,4 @@
 """All that is written to a port, from any thread: requests, what stops, heartbeats."""
-import traceback
 from typing import Any, Callable, Sequence
 
 from ..framing.stream import Frame
@@ -13,7 +12,6 @@ from .traffic import TX, Traffic
 
 STALLED = 'it may have waited while the bridge stalled; send it again'
 _AT_END = 0.05                 # s that bytes may wait in the port before what stops goes out
-_AFTER_FAULT = 0.1             # s until a thread goes on after an unexpected error
 _NEVER = float('inf')
 
 
@@ -177,7 +175,4 @@ class Writer:
                     self.transmit(packets, now)
             except Refused:
                 pass        # the link's thread gets it, too, and logs it
-            except Exception:  # pylint: disable=broad-except
-                self._session.log.error('fault', traceback.format_exc())
-                due = now + _AFTER_FAULT
         return due

@@ -135,8 +135,7 @@ MUTANTS: Dict[str, Mutant] = {
             method(self, frame, now), self._traffic.errors.update(
                 framing=frame.cause == 'framing'))),
     'a silent pty is trusted': Mutant(
-        'a silent pty takes no command', 'boards.arduino.session.CarSession', 'longest_silence',
-        _returns(0.0)),
+        'a silent pty takes no command', 'link.link.Link', '_check_port', _returns(None)),
     'changed settings leave no doubt': Mutant(
         'SPEED 0 after settings were restored', 'transport.port.Port', 'changed_settings',
         lambda method: lambda self: method(self) and str(self.renew())[:0]),
