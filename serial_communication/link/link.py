@@ -10,14 +10,13 @@ from ..transport.port import Port, PortError
 from .freshness import FRESH
 from .lending import Lending
 from .outcome import Refused
-from .receiver import Receiver
+from .receiver import Receiver, Traffic
 from .reopening import Reopening
 from .report import Report, report
 from .session import Doubt, Session
 from .sparing_log import SparingLog
 from .stamps import Stamps
 from .threads import Loop, prefer
-from .traffic import Traffic
 from .writer import Writer
 
 _LONGEST_SLEEP = 0.1           # s
@@ -139,8 +138,7 @@ class Link:
     def _closed_round(self) -> float:
         self.port.pause(self._due - self.now())
         now = self.now()
-        if self.writer.fresh.awake('link', now, self._clock()):
-            self._publishes_at = now + FRESH
+        self._awake(now, self._clock())
         with self.session.lock:
             due = self.session.idle(now)
         if now >= self.reopening.at and not self.lending.runs and not self.writer.has_ended:
@@ -203,10 +201,11 @@ class Link:
         # The clock after that: what it takes to make its stamp varies, and is not in `now`.
         now = self.now()
         stamp = self._clock()
-        stall = self.writer.fresh.awake('link', now, stamp)
-        if stall:
+        stall = self._awake(now, stamp)
+        if stall:       # what waited is old, and would get a new stamp
             with session.lock:
-                self._stalled(stall, now)
+                self.writer.begin_anew(f'the bridge stalled for {stall:.3g} s',
+                                       keeps_port=session.FENCED and self.port.is_network)
         if self.writer.drops_input:
             self.writer.drops_input = False
             receiver.reset()
@@ -221,13 +220,12 @@ class Link:
         frame_due = receiver.due()
         return self._look_at if frame_due is None else min(self._look_at, frame_due)
 
-    def _stalled(self, seconds: float, now: float) -> None:
-        """The thread did not run for so long: what waited is old, and would get a new stamp."""
-        fenced = self.session.FENCED
-        if not fenced:
+    def _awake(self, now: float, stamp: Any) -> float:
+        """Return for how many seconds this thread did not run, if that was a stall, or 0.0."""
+        stall = self.writer.fresh.awake('link', now, stamp)
+        if stall:
             self._publishes_at = now + FRESH
-        self.writer.begin_anew(f'the bridge stalled for {seconds:.3g} s',
-                               keeps_port=fenced and self.port.is_network)
+        return stall
 
     def _look(self, now: float, is_drained: bool) -> float:
         """Do what is due, and look at what rarely changes; return when to do that again."""

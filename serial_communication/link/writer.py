@@ -6,9 +6,9 @@ from ..transport.port import Port, PortBusy, PortError
 from .freshness import STALL, Freshness
 from .outcome import Refused
 from .output import Output
+from .receiver import TX, Traffic
 from .reopening import Reopening
 from .session import Doubt, Packet, Session
-from .traffic import TX, Traffic
 
 STALLED = 'it may have waited while the bridge stalled; send it again'
 _AT_END = 0.05                 # s that bytes may wait in the port before what stops goes out
@@ -53,7 +53,7 @@ class Writer:
         with self._session.lock:
             now = self._now()
             packets = decide(now)
-            if self._port.is_usable:
+            if self._port.is_usable and not self.has_ended:
                 self.transmit(packets, now)
 
     def _admit(self, request: Any, now: float, stamp: Any) -> None:

@@ -142,9 +142,9 @@ class Binder:
         names = [each.row.name for each in accepted]
         self.link.session.announcement.use(text, announcement.firmware, names)
         for line in said:
-            self.link.log.always_warn(line)
+            self.link.log.warn('', line)
         firmware = f' (firmware {announcement.firmware})' if announcement.firmware else ''
-        self.link.log.always_info(f'announces {", ".join(names) or "nothing"}{firmware}')
+        self.link.log.info('', f'announces {", ".join(names) or "nothing"}{firmware}')
         rospy.set_param(f'~{self.link.name}/{ANNOUNCED}', for_xml_rpc(
             {name: announcement.rows[name] for name in names}))
 
