@@ -18,10 +18,6 @@ class Lending:
 
     A loan ends by itself, whatever happens to who asked for it: after 10 s at most the link opens
     the port again, as soon as no other program has it open.
-
-    Args:
-        writer: of the link.
-        now: s, monotonic.
     """
 
     def __init__(self, port: Port, session: Session, writer: Writer,

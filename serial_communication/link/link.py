@@ -179,15 +179,13 @@ class Link:
         """The port is gone, or given up."""
         now = self.now()
         self.reopening.lost(why, now)
-        if self.lending.runs:
-            self.port.drain(_LEAVES)
         self._close()
         self._due = now
 
     def _close(self) -> None:
         if not self.port.is_open:
             return
-        if self.writer.has_ended:
+        if self.writer.has_ended or self.lending.runs:
             self.port.drain(_LEAVES)
         with self.session.lock:
             self.port.close()

@@ -16,11 +16,7 @@ Tap = Callable[[str, int, Frame], None]      # gets the link's name, RX or TX, a
 
 
 class Traffic:
-    """The traffic of one link.
-
-    Args:
-        causes: of errors, which are shown although there are none.
-    """
+    """The traffic of one link; the causes of errors are shown although there are none."""
 
     def __init__(self, name: str, log: SparingLog, causes: Iterable[str]) -> None:
         self.tap: Optional[Tap] = None     # called with every frame in and out; None: no listener
@@ -43,12 +39,7 @@ class Traffic:
 
 
 class Receiver:
-    """Decodes, counts, logs, stamps and passes on what one link receives; in its thread.
-
-    Args:
-        timer: gives up incomplete frames.
-        stamps: of frames.
-    """
+    """Decodes, counts, logs, stamps and passes on what one link receives; in its thread."""
 
     def __init__(self, session: Session, traffic: Traffic, timer: FrameTimer,
                  stamps: Stamps) -> None:

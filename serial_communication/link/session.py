@@ -47,8 +47,6 @@ class Session:
     else with the lock held; so do subclasses where they share something with those.
 
     Args:
-        decoder: of what the board sends.
-        log: for warnings.
         network_silence: s without a byte after which a port that hides what it has not sent is in
             doubt; 0: never.
     """

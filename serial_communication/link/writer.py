@@ -17,12 +17,7 @@ _NEVER = float('inf')
 
 class Writer:
     """The only way to the board: with the session's lock held, what is decided is written at once.
-
-    Args:
-        traffic: counts what is written.
-        reopening: knows why the port is closed.
-        clock: returns a stamp of now.
-        now: s, monotonic, also while suspended.
+    The arguments are those of the link.
     """
 
     def __init__(self, port: Port, session: Session, traffic: Traffic, reopening: Reopening,
@@ -37,12 +32,8 @@ class Writer:
         self._clock, self._now = clock, now
 
     def submit(self, request: Any, stamp: Any = None) -> None:
-        """Have the session take a request, and write what that sends; Refused: nothing of it was
-        sent.
-
-        Args:
-            stamp: when it was made, by the clock of the stamps; None: unknown.
-        """
+        """Have the session take a request, which was made at `stamp` (None: unknown), and write what
+        that sends; Refused: nothing of it was sent."""
         with self._session.lock:
             now = self._now()
             self._admit(request, now, stamp)
@@ -137,11 +128,7 @@ class Writer:
             self._session.dropped()
 
     def begin_anew(self, why: str, keeps_input: bool = False, keeps_port: bool = False) -> None:
-        """What waits is dropped, and the session begins as after an opening.
-
-        Args:
-            keeps_port: what waits in the port is kept.
-        """
+        """Drop what waits, unless it is kept, and have the session begin as after an opening."""
         now = self._now()
         self._session.log.warn('doubt', f'{why}: what waits in the port is dropped, and the link '
                                'begins anew')
