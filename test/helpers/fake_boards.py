@@ -213,7 +213,8 @@ class CarBoard(Board):
             self.forget()
             self.wait_for_heartbeats(number)
             stamps = self.heartbeat_times
-            return least < (len(stamps) - 1) / (stamps[-1] - stamps[0]) < most
+            seconds = stamps[-1] - stamps[0]
+            return least * seconds < len(stamps) - 1 < most * seconds
         waiting.until(measured, 'heartbeats at %g to %g Hz' % (least, most))
 
 
