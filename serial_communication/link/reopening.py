@@ -13,11 +13,10 @@ class Reopening:
         self.count = 0                      # how often it has been opened
         self._url, self._log = url, log
         self._pause = _BACK_OFF[0]
-        self._opened_at = float('-inf')
 
     def lost(self, why: str, now: float) -> None:
         """The open port is gone."""
-        self.trouble, self.at = why, max(now, self._opened_at + _BACK_OFF[0])
+        self.trouble, self.at = why, now + self._pause
         self._log.warn('lost', f'{self._url}: {why}; opening it again when it returns')
 
     def failed(self, why: str, now: float) -> None:
@@ -26,8 +25,7 @@ class Reopening:
         self._pause = min(self._pause * 2, _BACK_OFF[1])
         self._log.warn('closed', f'{self._url}: {why}')
 
-    def opened(self, now: float) -> None:
-        self._opened_at = now
+    def opened(self) -> None:
         self._log.info('opened', f'{self._url}: open')
         self._pause = _BACK_OFF[0]
         self.count += 1

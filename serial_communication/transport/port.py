@@ -12,11 +12,9 @@ import time
 from contextlib import suppress
 from typing import Optional, Set
 
-import serial
-
 from .open_port import OpenPort, open_port
 from .port_errors import PortBusy, PortError, explain
-from .urls import NETWORK, read_url
+from .urls import NETWORK, identity, read_url
 
 _HELD = 0.1             # s of wire time; a tty with more to send when it closes is held
 _MOST_WAKES = 65536     # calls of `wake` that one read takes
@@ -81,10 +79,8 @@ class Port:
 
     def is_used(self) -> bool:
         """Whether another program has the device open; False if that cannot be known."""
-        with suppress(OSError, ValueError, serial.SerialException):
-            path = serial.serial_for_url(self.url, do_not_open=True).port
-            return bool(path and open_in(path) - {os.getpid()})
-        return False
+        path = identity(self.url)
+        return isinstance(path, str) and bool(open_in(path) - {os.getpid()})
 
     def give_up(self, why: str) -> None:
         """Write nothing more until the port is opened again; the next `read` raises PortError,
@@ -96,9 +92,8 @@ class Port:
     def renew(self, keeps_input: bool = False) -> int:
         """Drop what waits in both directions, and restore the settings of a tty; it stays open.
 
-        Returns the number of bytes received that were dropped. With `keeps_input` these stay. A
-        network port can drop nothing: `give_up` instead. Of a pseudo terminal, up to 4095 bytes
-        that its other side can read already stay there.
+        Returns the number of bytes received that were dropped; with `keeps_input` these stay. A
+        network port can drop nothing, a pseudo terminal not what its other side can read already.
         """
         with self._lock:
             self._rest = b''
