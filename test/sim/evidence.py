@@ -54,6 +54,10 @@ class Evidence:
         stops = self.events('stop')
         self.stops = stops + [  # the last one may not be released
             (begin, float('inf')) for begin in story.stopped_at[len(stops):]]
+        calibrating = story.robot.calibrating       # as far as the bridge knows
+        self.calibrations: List[Interval] = list(zip(
+            [time for time, on in calibrating if on],
+            [*(time for time, on in calibrating if not on), float('inf')]))
         self.suspended = list(story.world.suspensions)
         self.stalls = [sorted(self.suspended + loop.stalls) for loop in story.robot.loops]
 

@@ -2,7 +2,8 @@
 import struct
 from typing import Dict, List, Tuple
 
-from evidence import At, Evidence, longer, overlaps
+from by_definition import reply_at
+from evidence import At, Evidence, decoded, longer, overlaps
 from promises import (ECHO, ENVIRONMENT, FRESH, FUNCTION, GIMBAL, HALT, INVALID, LEVEL, LIFT, MOVES,
                       OK, PRESS, SLACK, SYNC, Verdicts, executed_by, told)
 from scenario import Called
@@ -155,7 +156,8 @@ def replies_are_used_for_their_request(e: Evidence) -> Verdicts:
 
 def readings_are_of_the_environment(e: Evidence) -> Verdicts:
     """Every published reading was the reply to a request for one, once, in order."""
-    sent = [frame for frame in e.sent if frame.type == OK and len(frame.data) == 6
+    readings = decoded(e.story.device.board_sent, reply_at, [], anywhere=True)  # noise is sent, too
+    sent = [frame for frame in readings if frame.type == OK and len(frame.data) == 6
             and frame.data[2:] != b'\0\0\x88\x13']
     index = 0
     for time, _name, values, _stamp in e.story.robot.published:
@@ -336,8 +338,8 @@ def calls_are_not_given_up(e: Evidence) -> Verdicts:
         opened, closed = e.opening_of(begin)
         served = any(
             other is not called and each <= end - SLACK and min(
-                each + other.longest / 3, next((read for read in reads if read > each), end + 1.0)
-            ) > max(end - 0.78, begin) for other in others for each in _sent(e, other))
+                each + other.longest / 3, next((read for read in reads if read > each), end + 1.0),
+                other.ended or end) > max(end - 0.78, begin) for other in others for each in _sent(e, other))
         excused = closed <= end + 0.02 or opened > begin or e.story.ended == end or overlaps(
             halts + e.stops + e.events('blocked', 'unplugged', 'cut') + [
                 (asked, until) for asked, until, _, _ in e.story.tasks], begin, end, 0.1) \

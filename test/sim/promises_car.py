@@ -116,7 +116,6 @@ def stops_are_repeated(e: Evidence) -> Verdicts:
 def repeated(e: Evidence, type_: int) -> Verdicts:
     """Whether the zeros of this type are repeated."""
     sent = e.of_type(e.wrote, type_)
-    calibrations = [frame.time for frame in e.of_type(e.wrote, CALIBRATION)]
     moving = False
     for index, frame in enumerate(sent):
         if not is_zero(frame):
@@ -133,7 +132,7 @@ def repeated(e: Evidence, type_: int) -> Verdicts:
             excused = overlaps(e.stalls[1] + [(asked, asked + 0.2) for asked, _, name, _ in
                                               e.story.tasks if name == 'reset'],
                                last.time, following.time, 0.05) \
-                or any(frame.time <= each <= following.time for each in calibrations)
+                or overlaps(e.calibrations, frame.time, following.time)
             yield not excused, '' if excused or following.time - last.time <= 0.065 else \
                 f'the zero of {last.time:.3f} was repeated at {following.time:.3f}'
             last = following
@@ -141,7 +140,7 @@ def repeated(e: Evidence, type_: int) -> Verdicts:
             following = None
         end = min(limit, following.time if following else limit)
         excused = overlaps(e.stalls[1] + e.events('blocked'), last.time, end, 0.1) \
-            or any(frame.time <= each <= end for each in calibrations)
+            or overlaps(e.calibrations, frame.time, end)
         if not excused:
             yield 1, '' if end - last.time <= 0.07 else \
                 f'the zero was repeated at {last.time:.3f} and then not until {end:.3f}'
@@ -305,9 +304,6 @@ def commands_arrive(e: Evidence) -> Verdicts:
 def refusals_are_true(e: Evidence) -> Verdicts:
     """A command is refused while the port is closed, and never without its cause."""
     device, story = e.story.device, e.story
-    starts = [time for time, on in story.robot.calibrating if on]
-    ends = [time for time, on in story.robot.calibrating if not on]
-    calibrations = list(zip(starts, [*ends, float('inf')]))
     reads = [chunk.time for chunk in device.bridge_read]
     limit = story.parameters['network_silence']
     for command in story.commands:
@@ -320,7 +316,7 @@ def refusals_are_true(e: Evidence) -> Verdicts:
         bad = command.name == 'led' and (
             len(command.value) > 30 or not command.value.isascii())
         may = {'': not bad, 'value': bad, 'stopped': overlaps(e.stops, now, now),
-               'calibrating': overlaps(calibrations, now, now) or command.name == 'calibrate',
+               'calibrating': overlaps(e.calibrations, now, now) or command.name == 'calibrate',
                'stall': overlaps(longer(merged(e.stalls[1] + e.stalls[0]), STALL), now, now,
                                  FRESH + 0.11),     # it may wait for its output to leave
                'silent': device.kind == 'pty' and not any(
@@ -397,7 +393,6 @@ def calibrations_end_in_time(e: Evidence) -> Verdicts:
 
 def silences_were_observed(e: Evidence) -> Verdicts:
     """A silence that a stall or a closed port has made ends no calibration."""
-    ends = [time for time, on in e.story.robot.calibrating if not on]
     boards = [fields['on'] for time, event, fields in e.story.far.notes if event == 'calibrate']
     begun = [time for time, event, fields in e.story.far.notes
              if event == 'calibrate' and fields['on']]
@@ -405,11 +400,11 @@ def silences_were_observed(e: Evidence) -> Verdicts:
             if event == 'calibrate' and not fields['on']]
     limit = e.story.parameters['calibration_timeout']
     resets = [begin for begin, _ in e.events('reset', 'unplugged')]
-    resets += [asked for asked, _, _, _ in e.story.tasks]
+    resets += [task[0] for task in e.story.tasks]
     silences = [begin for begin, _ in e.events('silence', 'blocked')]
-    for end in ends if boards else ():
+    for asked, end in e.calibrations if boards else ():
         start = max((each for each in begun if each <= end), default=None)
-        if start is None or end >= start + limit - SLACK or any(
+        if start is None or end >= asked + limit - SLACK or any(
                 start - 1.0 <= each <= end for each in resets + silences):
             continue
         done = min((each for each in over if each >= start), default=float('inf'))
@@ -482,10 +477,8 @@ def no_stop_without_a_cause(e: Evidence) -> Verdicts:
 def dropped_output_ends_with_speed_0(e: Evidence) -> Verdicts:
     """SPEED 0 is the first packet after dropped output, and after the settings of a tty were
     restored, but while the board calibrates."""
-    starts = [time for time, on in e.story.robot.calibrating if on]
-    ends = [time for time, on in e.story.robot.calibrating if not on]
     for time in e.story.device.flushes + e.story.device.restorations:
-        if overlaps(list(zip(starts, [*ends, float('inf')])), time, time):
+        if overlaps(e.calibrations, time, time):
             continue
         first = _first_but_zeros([frame for frame in e.wrote if frame.begun > time])
         excused = first is None or first.time > e.opening_of(time)[1] or overlaps(

@@ -211,7 +211,10 @@ def lost_frames_are_counted(e: Evidence) -> Verdicts:
     if e.kind != 'mcu':
         return
     # What waited during a stall is dropped by the bridge itself.
-    end = min([begin for begin, _ in e.stalls[0] + e.events('noise', 'altered')] + [float('inf')])
+    end = min([begin for begin, _ in e.stalls[0] + e.events('noise', 'altered')] + [
+        drop for drop in e.story.device.drops       # so is what waits in a damaged frame
+        if any(drop - FRAME_TIMEOUT - 0.01 < frame.time <= drop for frame in e.read)
+    ] + [float('inf')])
     for time, report, *_ in e.story.counted:
         if time >= end:
             return
@@ -252,9 +255,6 @@ def stale_bytes_are_counted(e: Evidence) -> Verdicts:
 def conditions_are_true(e: Evidence) -> Verdicts:
     """`condition`: closed, lent, stopped, calibrating, silent or ok, as it is."""
     story, robot = e.story, e.story.robot
-    starts = [time for time, on in robot.calibrating if on]
-    calibrations = list(zip(starts, [
-        *(time for time, on in robot.calibrating if not on), float('inf')]))
     changes = [(asked, until) for asked, until, _, _ in story.tasks]
     for time, report in story.reports:
         name = report['condition']
@@ -268,8 +268,8 @@ def conditions_are_true(e: Evidence) -> Verdicts:
             may = None
         elif opened == float('inf') or time < opened + SLACK:
             may = ('closed',) if opened == float('inf') else None
-        elif overlaps(calibrations, time - 0.1, time, 0.1):
-            may = ('calibrating',) if overlaps(calibrations, time, time) else None
+        elif overlaps(e.calibrations, time - 0.1, time, 0.1):
+            may = ('calibrating',) if overlaps(e.calibrations, time, time) else None
         elif e.kind == 'bus':
             synced = any(opened <= frame.time <= time for frame in e.readable if frame.type == 0)
             may = ('ok', 'out_of_step', 'no_echo', 'not_synchronised') if synced else (
@@ -298,16 +298,18 @@ def a_loan_is_told(e: Evidence) -> Verdicts:
 
 
 def a_silent_network_is_opened_again(e: Evidence) -> Verdicts:
-    """A network port without a byte for network_silence is opened again, and not sooner."""
+    """A network port without a byte for network_silence, after its board talked, is opened again,
+    and not sooner."""
     if e.kind == 'bus' or e.story.device.kind != 'network':
         return
     limit, device = e.story.parameters['network_silence'], e.story.device
     calibrates = [time for time, _ in e.story.robot.calibrating]
     reads = [chunk.time for chunk in device.bridge_read]
+    talked = min([frame.time for frame in e.read] + [float('inf')])
     for opened, closed in e.openings:
         times = [opened, *(each for each in reads if opened <= each <= closed), closed]
         for last, following in zip(times, times[1:]):
-            excused = overlaps(e.stalls[0], last, following, 0.2) or any(
+            excused = last < talked or overlaps(e.stalls[0], last, following, 0.2) or any(
                 each <= following + 0.2 for each in calibrates)
             if following - last > limit - 0.5:
                 yield not excused, '' if excused or following - last <= limit + 0.2 else \
