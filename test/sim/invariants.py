@@ -40,6 +40,7 @@ OF_ALL: Invariants = (
     link.announced_rows_are_in_use, link.wanted_settings_return,
     car.settings_wait_for_their_board, car.values_are_of_this_board,
     doubt.a_port_closes_for_a_cause, doubt.a_stalled_network_is_opened_again,
+    doubt.a_stall_drops_the_output,
     doubt.the_log_is_sparing, doubt.rows_outlive_doubts, doubt.a_doubt_is_told,
     doubt.short_stalls_lose_nothing, doubt.standing_output_is_dropped,
     doubt.a_silent_pty_is_doubted, link.damage_does_not_bend_the_line)
@@ -59,13 +60,11 @@ OF_THE_BUS: Invariants = (
     bus.refused_calls_are_repeated, bus.a_loan_waits_for_no_move, doubt.a_doubt_is_fenced,
     doubt.an_unheard_move_is_a_doubt)
 ALL: Invariants = OF_THE_CAR + OF_ALL + OF_THE_SENSORS + OF_THE_BUS
-# Shown, and not required.
-NOT_YET_KEPT: Invariants = (doubt.a_stall_drops_the_output,)
 _OF = {'arduino': OF_THE_CAR, 'mcu': OF_THE_SENSORS, 'bus': OF_THE_BUS}
 
 
 def judge(evidence: Evidence) -> Iterator[Tuple[str, int, str]]:
     """All verdicts on one link: the invariant's name, tries, and what broke it."""
-    for invariant in OF_ALL + _OF[evidence.kind] + NOT_YET_KEPT:
+    for invariant in OF_ALL + _OF[evidence.kind]:
         for tries, broken in invariant(evidence):
             yield invariant.__name__, tries, broken

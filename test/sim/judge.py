@@ -12,7 +12,7 @@ _TEST = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(_TEST.parent), str(_TEST / 'sim'), str(_TEST / 'helpers')]
 
 from evidence import Evidence  # noqa: E402  pylint: disable=wrong-import-position
-from invariants import ALL, NOT_YET_KEPT, judge  # noqa: E402
+from invariants import ALL, judge  # noqa: E402
 from life import live  # noqa: E402
 
 SECONDS = 25.0      # of each robot
@@ -25,34 +25,27 @@ class Result(NamedTuple):
     seconds: float              # of robots
     tries: Dict[str, int]       # by invariant
     broken: Dict[str, str]      # the first violation of each
-    not_yet: Dict[str, str]     # likewise, of those that are not required
 
 
 def run(seed: int, seconds: float = SECONDS, hertz: float = 10.0) -> Result:
     """Live and judge one seed."""
     tries: Dict[str, int] = Counter()
     broken: Dict[str, str] = {}
-    not_yet: Dict[str, str] = {}
-    optional = {invariant.__name__ for invariant in NOT_YET_KEPT}
     stories = live(seed, seconds, hertz)
     for story in stories:
         for name, tried, words in judge(Evidence(story)):
             tries[name] += tried
             if words:
-                (not_yet if name in optional else broken).setdefault(
-                    name, f'{story.kind} on a {story.device.kind}: {words}')
-    return Result(seed, seconds * len(stories), dict(tries), broken, not_yet)
+                broken.setdefault(name, f'{story.kind} on a {story.device.kind}: {words}')
+    return Result(seed, seconds * len(stories), dict(tries), broken)
 
 
 def table(results: List[Result]) -> Iterator[str]:
     """The lines of a table: invariant, tries, violated, and the first seed."""
     yield f'{"promise":64} {"tries":>9} {"violated":>9}  first seed'
-    for invariant in ALL + NOT_YET_KEPT:
-        if NOT_YET_KEPT and invariant is NOT_YET_KEPT[0]:
-            yield 'not kept yet, and not required:'
+    for invariant in ALL:
         name = invariant.__name__
-        seeds = [result.seed for result in results
-                 if name in result.broken or name in result.not_yet]
+        seeds = [result.seed for result in results if name in result.broken]
         promise = ' '.join((invariant.__doc__ or '').split()).rstrip('.')
         yield (f'{promise[:64]:64} {sum(result.tries.get(name, 0) for result in results):9,} '
                f'{len(seeds):9}  {seeds[0] if seeds else ""}')

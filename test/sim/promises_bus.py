@@ -202,8 +202,9 @@ def readings_are_repeated(e: Evidence) -> Verdicts:
         yield 1, '' if len(times) <= 3 else f'level of {called.time:.3f} was sent at {times}'
         if told(called) == 'not known' and times and called.ended:
             closed = e.opening_of(times[0])[1]
-            # It waits for its next turn for 0.8 s while the link is not in step.
-            excused = closed < called.ended + SLACK or called.ended > times[-1] + 0.79 or any(
+            # It waits for its next turn for 0.8 s while the link is not in step. A function that
+            # was announced goes with its announcement.
+            excused = e.story.announces or closed < called.ended + SLACK or called.ended > times[-1] + 0.79 or any(
                 times[0] <= each <= called.ended for each in halts) or overlaps(
                     e.stalls[0], called.time, called.ended)
             yield not excused, '' if excused or len(times) == 3 else \

@@ -86,9 +86,9 @@ def frames_are_published(e: Evidence) -> Verdicts:
             or frame.time - frame.begun > 0.04 or overlaps(
                 e.events('altered'), frame.begun - 1.0, frame.time, 0.6) \
             or any(0.04 < frame.begun - chunk.time < 0.06 for chunk in e.story.device.bridge_read) \
-            or any(abs(frame.time - end) < 0.02 for _, end in e.openings) \
-            or any(frame.begun - 0.01 <= each <= frame.time + FRAME_TIMEOUT + 0.01
-                   for each in e.story.device.flushes)     # it may wait in a damaged frame
+            or any(frame.begun - 0.02 <= each <= frame.time + FRAME_TIMEOUT + 0.01
+                   for each in e.story.device.flushes + [    # it may wait in a damaged frame
+                       end for _, end in e.openings])
         yield not excused, '' if excused else \
             f'{names[0]} {wanted} read at {frame.time:.3f} was not published'
 
