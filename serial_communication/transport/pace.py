@@ -20,14 +20,17 @@ class Every:
     def __init__(self, period: float, now: float) -> None:
         self.due = now + period
         self._period = period
+        self._start = now
+        self._count = 1     # of periods from the start to `due`
 
     def passed(self, now: float) -> bool:
         """Whether the deadline has passed; if so, set the next one, after `now`."""
         if now < self.due:
             return False
-        self.due += self._period
+        self._count += 1
+        self.due = self._start + self._count * self._period
         if self.due <= now:
-            self.due = now + self._period
+            self._start, self._count, self.due = now, 1, now + self._period
         return True
 
 
