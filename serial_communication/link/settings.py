@@ -1,6 +1,7 @@
 """The settings of one board: which values are wanted, and which the board has confirmed."""
 import threading
-from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Optional, Tuple, Type
+from copy import copy
+from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple, Type
 
 from ..framing.rows import Setting
 from ..framing.settings import SettingMessage, message_of
@@ -14,17 +15,8 @@ _WARNING = 9               # tries until one warning: the board may be starting 
 _ANSWERED = 3              # tries: a board that reports another value then limits it
 
 
-class Shown(NamedTuple):
-    """What displays show of a setting."""
-
-    row: Setting
-    value: Any           # that the board uses; None: not known
-    wanted: Any          # None: the board's own value stands
-    is_settled: bool     # whether the board has confirmed the wanted value, or limited it
-
-
-class _State:
-    """One setting."""
+class State:
+    """One setting. For displays: a copy."""
 
     def __init__(self, row: Setting) -> None:
         self.row = row
@@ -40,7 +32,7 @@ class _State:
 
     @property
     def is_settled(self) -> bool:
-        """Whether nothing else is to be expected from the board soon."""
+        """Whether the board has confirmed the wanted value, or limited it."""
         return self.wanted is None or self.confirmed or self.limited
 
 
@@ -60,7 +52,7 @@ class BoardSettings:
         self.on_change: Callable[[], None] = lambda: None
         self.wanted: Dict[str, Any] = {}     # by name, also of rows that are not there now
         self._kind = message_of(())
-        self._states: Dict[str, _State] = {}
+        self._states: Dict[str, State] = {}
         self._allowance = Allowance(*_RATE)
         self._log, self._use, self._wake = log, use, wake
         self._changed = threading.Condition()
@@ -70,7 +62,7 @@ class BoardSettings:
     def add(self, row: Setting) -> Callable[[], None]:
         """Add a row; return what removes it."""
         with self._changed:
-            state = self._states[row.name] = _State(row)
+            state = self._states[row.name] = State(row)
             self._rows_changed()
         self.want(row.name, self.wanted.get(row.name))
 
@@ -140,24 +132,19 @@ class BoardSettings:
                 return
             value, before, was_settled = message.value, state.value, state.is_settled
             state.value = value
-            if state.wanted is not None:
-                self._compare(state, value)
+            if value == state.wanted:
+                # Without a try, the report may have been under way while an older value was sent.
+                state.confirmed |= state.tries > 0
+            elif state.confirmed:
+                # The board has started again, so it has lost the others, too.
+                for each in self._states.values():
+                    each.again()
+                self._wake()
+            else:
+                state.limited = state.tries >= _ANSWERED
             self._changed.notify_all()
         if value != before or not (was_settled and state.is_settled):
             self.on_change()
-
-    def _compare(self, state: _State, value: Any) -> None:
-        """The board reports a value of a setting with a wanted one."""
-        if value == state.wanted:
-            # Without a try, the report may have been under way while an older value was sent.
-            state.confirmed |= state.tries > 0
-        elif state.confirmed:
-            # The board has started again, so it has lost the others, too.
-            for each in self._states.values():
-                each.again()
-            self._wake()
-        else:
-            state.limited = state.tries >= _ANSWERED
 
     def send(self, now: float, is_current: bool) -> Tuple[List[SettingMessage], Optional[float]]:
         """What is to be sent now, and when to call again, or None.
@@ -172,39 +159,36 @@ class BoardSettings:
             messages = []
             for state in sorted(waiting, key=lambda state: state.due):
                 if now >= state.due and self._allowance.take(now):
-                    messages.append(self._try(state, now))
+                    state.tries += 1
+                    state.due = now + _PAUSES[state.tries >= _TRIES]
+                    self._warn(state)
+                    messages.append(self._kind(state.row.number, state.wanted))
             # What the allowance kept is due when there is one more.
             return messages, min((state.due if state.due > now else now + 1 / _RATE[1]
                                   for state in waiting), default=None)
 
-    def _try(self, state: _State, now: float) -> SettingMessage:
-        state.tries += 1
-        state.due = now + (_PAUSES[0] if state.tries < _TRIES else _PAUSES[1])
+    def _warn(self, state: State) -> None:
         if state.tries == _WARNING:
             uses = 'is silent about it' if state.value is None else f'uses {state.value}'
             self._log.warn(f'setting {state.row.name}', f'the board has not confirmed '
                            f'{state.row.name} = {state.wanted}, it {uses}; it is sent again each '
                            'second')
-        return self._kind(state.row.number, state.wanted)
 
     # -- for displays -----------------------------------------------------------------------
 
-    def shown(self) -> Dict[str, Shown]:
+    def shown(self) -> Dict[str, State]:
         """All settings, in the order of their names."""
         with self._changed:
-            return {name: Shown(state.row, state.value, state.wanted, state.is_settled)
-                    for name, state in sorted(self._states.items())}
+            return {name: copy(state) for name, state in sorted(self._states.items())}
 
     def values(self) -> List[Tuple[str, Any]]:
         """For /diagnostics; empty without rows."""
-        with self._changed:
-            states = [self._states[name] for name in sorted(self._states)]
-            return [] if not states else [
-                ('settings', ', '.join(
-                    f'{each.row.name}={_text(each.value)}' for each in states)),
-                ('settings unconfirmed', ', '.join(
-                    f'{each.row.name}={_text(each.wanted)}' for each in states
-                    if each.wanted is not None and not each.confirmed))]
+        shown = self.shown()
+        return [] if not shown else [
+            ('settings', ', '.join(f'{name}={_text(each.value)}' for name, each in shown.items())),
+            ('settings unconfirmed', ', '.join(
+                f'{name}={_text(each.wanted)}' for name, each in shown.items()
+                if each.wanted is not None and not each.confirmed))]
 
 
 def _text(value: Any) -> str:

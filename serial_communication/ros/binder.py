@@ -218,29 +218,30 @@ class Binder:
     def _poll(self, ros_row: RosRow) -> Callable[[], None]:
         """Call a function with a period, and publish its replies."""
         topic = ValuePublisher(ros_row, self._p)
-        poller = self.link.session.polls.add(
+        stop = self.link.session.polls.add(
             ros_row.row, ros_row.row.period,
             lambda outcome: topic.publish(_values(ros_row, outcome), outcome.stamp))
 
         def take_down() -> None:
-            self.link.session.polls.remove(poller)
+            stop()
             topic.close()
 
         return take_down
 
     def _offer(self, ros_row: RosRow) -> Callable[[], None]:
         """Offer a function as a service."""
-        row, link = ros_row.row, self.link
+        row: Any = ros_row.row
         fields: Any = ros_row.request
+        link = self.link
         stop = (ros_row.stop_request(), row) if row.interrupts else None
 
         def handle(ros_request: Any) -> Any:
             try:
-                values = fields.read(ros_request)
+                request = row.make_request(fields.read(ros_request))
             except ValueError as error:
                 outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
             else:
-                outcome = link.call(row, values)
+                outcome = link.request(request, row)
             response = fill_response(ros_row.fields.new(), outcome)
             if outcome.success:
                 ros_row.fields.fill(response, _values(ros_row, outcome))

@@ -15,7 +15,7 @@ from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, Reconfigure
 from ..framing.layout import FRACTIONS
 from ..framing.rows import RowError, Setting
 from ..link.link import Link
-from ..link.settings import Shown
+from ..link.settings import State
 from .latest_worker import LatestWorker
 from .parameter import ParameterError
 
@@ -129,12 +129,11 @@ class SettingsServer:
         return ReconfigureResponse(_config(self._settings.shown()))
 
 
-def _config(shown: Mapping[str, Shown]) -> Any:
+def _config(shown: Mapping[str, State]) -> Any:
     values = {}
-    for name, (row, value, wanted, is_settled) in shown.items():
-        if value is None or not is_settled:
-            value = wanted
-        values[name] = _type(row)(row.default if value is None else value)
+    for name, each in shown.items():
+        value = each.value if each.is_settled and each.value is not None else each.wanted
+        values[name] = _type(each.row)(each.row.default if value is None else value)
     return encode_config({**values, 'groups': get_tree(
         _description([each.row for each in shown.values()]))})
 

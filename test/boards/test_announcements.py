@@ -5,7 +5,7 @@ from steps import Steps
 from serial_communication.boards.arduino import wire as arduino
 from links import ArduinoLink
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus import announcement
+from serial_communication.boards.bus import polls
 from serial_communication.boards.bus.call import Call
 from serial_communication.boards.mcu import wire as mcu
 from links import McuLink
@@ -89,12 +89,11 @@ class Questions:
 
     def __init__(self, log=None):
         self.asked = []
-        self.question = announcement.AnnouncementReader(self._ask, Assembly(), log)
+        self.question = polls.AnnouncementReader(self._ask, Assembly(), log)
         self.question.begin(0.0)
 
-    def _ask(self, index, now):
-        self.asked.append(Call(bus.ANNOUNCEMENT.make_request((index,)), bus.ANNOUNCEMENT,
-                               0.5, 1, 0.0))
+    def _ask(self, request, function, now, on_success):
+        self.asked.append(Call(request, function, 0.5, 1, 0.0))
         return self.asked[-1]
 
 

@@ -3,6 +3,7 @@ import logging
 
 from serial_communication.boards.arduino import wire
 from serial_communication.boards.arduino.session import CarOptions, CarSession
+from serial_communication.boards.bus import link as bus
 from serial_communication.boards.mcu.session import SensorSession
 from serial_communication.link.link import Link
 from serial_communication.link.sparing_log import SparingLog
@@ -44,3 +45,11 @@ class McuLink(Link):
         of_link = {name: arguments.pop(name) for name in _OF_LINK if name in arguments}
         super().__init__(port, SensorSession(SparingLog('mcu', logger, clock=now), now=now,
                                              **arguments), now=now, **of_link)
+
+
+class BusLink(bus.BusLink):
+    """A link to the control board, without polls; likewise."""
+
+    def __init__(self, port, options=bus.MasterOptions(), logger=_LOGGER, now=clock, **arguments):
+        super().__init__(port, bus.MasterSession(SparingLog('bus', logger, clock=now), options),
+                         now=now, **arguments)

@@ -2,11 +2,10 @@
 
 For what a link says and refuses. What it does when, and under faults, the judge decides (test/sim).
 """
+from links import BusLink
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.boards.bus.master import MasterOptions
 from serial_communication.transport.port import Port
-
-QUIET = BusSettings(environment_period=0.0)
 
 
 class MemoryPort(Port):
@@ -128,8 +127,8 @@ class Steps:
 class Bus(Steps):
     """A bus link and a board that answers at once: `rule` may return another answer, or bytes."""
 
-    def __init__(self, settings=QUIET, **options):
-        super().__init__(BusLink, settings, **options)
+    def __init__(self, master=MasterOptions(), **options):
+        super().__init__(BusLink, master, **options)
         self.requests = []
         self.rule = lambda request: None
         self._decoder = bus.RequestDecoder()

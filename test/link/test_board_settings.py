@@ -50,7 +50,8 @@ class Rig:
             self.now = due
 
     def shown(self, name='kp'):
-        return self.settings.shown()[name][1:]
+        state = self.settings.shown()[name]
+        return state.value, state.wanted, state.is_settled
 
 
 @pytest.fixture

@@ -3,8 +3,7 @@
 
 from steps import Steps
 from links import ArduinoLink
-from serial_communication.boards.bus.link import BusLink
-from links import McuLink
+from links import BusLink, McuLink
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu

@@ -13,7 +13,7 @@ from serial_communication.boards.arduino import wire as car_wire
 from serial_communication.boards.arduino.session import CarOptions, CarSession
 from serial_communication.boards.bus import DESCRIPTION as BUS
 from serial_communication.boards.bus import wire as bus_wire
-from serial_communication.boards.bus.link import BusLink, BusSettings
+from serial_communication.boards.bus.link import BusLink, MasterOptions, MasterSession
 from serial_communication.boards.mcu.session import SensorSession
 from serial_communication.framing.announcement import read_announcement
 from serial_communication.framing.rows import BOARD, FILE, Kind
@@ -96,10 +96,15 @@ class Robot:
                     (world.clock(), 'silent', (kind.__name__ if kind else '', age), 0.0)),
                 now=world.clock, **parameters), **clocks)
         else:
-            self.link = BusLink(
-                port, BusSettings(**parameters), on_environment=self._publish,
-                nonce=lambda: bytes(world.random.choices(range(256), k=4)),
-                logger=self, **clocks)   # type: ignore[arg-type]
+            period = parameters.pop('environment_period', 1.0)
+            session = MasterSession(
+                log, MasterOptions(**parameters),
+                nonce=lambda: bytes(world.random.choices(range(256), k=4)))
+            if period:
+                session.polls.add(bus_wire.ENVIRONMENT_FUNCTION, period, lambda outcome:
+                                  self._publish(bus_wire.Environment.unpack(outcome.data),
+                                                outcome.stamp))
+            self.link = BusLink(port, session, **clocks)
         self.loops = [Loop(world, step) for step in self.link.loops()]
         port.wake = device.on_input = self.loops[0].wake    # type: ignore[method-assign]
         if is_tapped:

@@ -62,8 +62,7 @@ MUTANTS: Dict[str, Mutant] = {
         lambda method: lambda self, zero, timeout: method(self, zero, 2 * timeout)),
     'a stop is not repeated': Mutant(
         'a stop is repeated for 1 s', 'boards.arduino.motion.Motion', 'due',
-        lambda method: lambda *arguments: (
-            lambda why: None if why and why.name == 'REPEATED' else why)(method(*arguments))),
+        lambda method: lambda self, *arguments: self.moves and method(self, *arguments)),
     'SPEED 0 does not come first': Mutant(
         'SPEED 0 first', 'boards.arduino.motion.Motion', 'forget', _nothing),
     'a stall is not noticed by the car': Mutant(
@@ -125,7 +124,7 @@ MUTANTS: Dict[str, Mutant] = {
     'polls pile up': Mutant(
         'polls do not pile up', 'boards.bus.polls.Polls', 'tick', lambda method:
             lambda self, now, is_announced: ([setattr(each, 'latest', None) for each in
-                                              self._pollers], method(self, now, is_announced))[1]),
+                                              self._polls], method(self, now, is_announced))[1]),
     'a silence of 1 s ends a calibration': Mutant(
         'a calibration ends after a silence of 2 s', 'boards.arduino.calibration.Calibration',
         'imu_data', lambda method: lambda self, now: (

@@ -11,7 +11,7 @@ from lines import ROOT
 from waiting import PATIENCE, until
 
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.link import BusLink
+from links import BusLink
 from serial_communication.boards.bus.simulator import ControlBoard
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard

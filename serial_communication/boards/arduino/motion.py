@@ -4,21 +4,12 @@ moves something.
 Pure rules: no port, no thread, no clock. `now` is in seconds of a clock that also runs while the
 computer is suspended. The session asks what is due, and reports what it has sent.
 """
-import enum
-from typing import Any, Optional
+from typing import Any
 
 _REPEAT_PERIOD = 0.05   # s between the repetitions of a stop: the line may lose any of them
 _REPEAT_FOR = 1.0       # s after the first zero for which it is repeated
 _EARLY = 0.005          # s by which a repetition may be early, instead of one heartbeat late
 _NEVER = float('-inf')
-
-
-class Stop(enum.Enum):
-    """Why a zero has to be sent."""
-
-    UNKNOWN = 'the board may hold any motion'
-    TIMED_OUT = 'no command for too long'
-    REPEATED = 'the line may have lost the zero before'
 
 
 class Motion:
@@ -54,19 +45,19 @@ class Motion:
         """What was written may not have been sent, or has to be ended at once."""
         self.moves = self.is_unknown = True
 
-    def due(self, now: float, board_reads: bool = True) -> Optional[Stop]:
-        """Why the zero has to be sent now, or None.
+    def due(self, now: float, board_reads: bool = True) -> bool:
+        """Whether the zero has to be sent now: the motion is not known, or is not commanded any
+        more, or the line may have lost the zero before.
 
         Args:
             board_reads: False: no repetitions; the board calibrates, and would read all of them
                 minutes later.
         """
         if self.is_unknown:
-            return Stop.UNKNOWN
+            return True
         if self.moves:
-            return Stop.TIMED_OUT if self._timeout and now >= self._timeout_at else None
+            return self._timeout > 0 and now >= self._timeout_at
         repeat_at = self._repeat_at - _EARLY
         if now > self._repeat_until + _REPEAT_PERIOD:    # missed repetitions are not sent later
-            return None
-        is_due = board_reads and repeat_at <= now and repeat_at <= self._repeat_until
-        return Stop.REPEATED if is_due else None
+            return False
+        return board_reads and repeat_at <= now and repeat_at <= self._repeat_until

@@ -15,15 +15,15 @@ from ...link.settings import BoardSettings
 from ...link.sparing_log import SparingLog
 from ...transport.pace import Allowance
 from . import DESCRIPTION, LONGEST_GAP, wire
-from .calibration import Calibration, End
-from .heartbeats import Heartbeats
-from .line_time import LineTime
-from .motion import Motion, Stop
+from .calibration import BACK, Calibration
+from .heartbeats import Heartbeats, LineTime
+from .motion import Motion
 
 _LONGEST_BURST = 0.05    # s of wire time that may wait; then more commands are refused
 _LONGEST_SLEEP = 0.02    # s; a low heartbeat rate must not make a zero late
 _BOARD_LINES = 100, 10.0     # log lines of the board that are taken: in a burst, then per second
 _CALIBRATES = 'the board calibrates its IMU, which takes minutes'
+_RESET = 'the board was reset: the calibration is over'
 _HEARTBEAT = wire.Heartbeat()
 _STILL = wire.SteeringCommand, wire.LedCommand, SettingMessage    # what ~stop does not refuse
 _OVERHEAD = 4            # bytes of a packet besides its data, at most
@@ -67,7 +67,7 @@ class CarSession(Session):
         self.heartbeats = Heartbeats(options.heartbeat_rate)
         self.calibration: Optional[Calibration] = None
         self._options = options
-        self._on = _Handlers(on_message, on_log, on_calibrating)
+        self._on_message, self._on_log, self._on_calibrating = on_message, on_log, on_calibrating
         self._motions: Dict[int, Motion] = {}      # by type
         self.add_motion(wire.SpeedCommand(0))
         self._line = LineTime(byte_time)
@@ -120,7 +120,8 @@ class CarSession(Session):
             raise Refused(_CALIBRATES, 'calibrating')
         if self.is_stopped and self._moves(request):
             raise Refused(STOPPED, 'stopped')
-        if self._line.waiting(now) > _LONGEST_BURST:
+        ends = self._is_zero(request) and self._motions[request.TYPE].moves
+        if self._line.waiting(now) > _LONGEST_BURST and not ends:
             raise Refused('the line has not sent the commands before it', 'busy')
         zeros = [motion.zero for motion in self._known() if calibrates and motion.moves]
         return self._packets([*zeros, request], now)
@@ -135,15 +136,15 @@ class CarSession(Session):
         calibration = self.calibration      # the link's thread may set it to None
         reads = calibration is None or calibration.data_goes_on(now)
         for motion in self._known():
-            why = motion.due(now, reads)
-            if why:
-                messages.append(motion.zero)
-            if why is Stop.TIMED_OUT:
+            if not motion.due(now, reads):
+                continue
+            messages.append(motion.zero)
+            if motion.moves and not motion.is_unknown:
                 self.log.warn(f'timeout {motion.zero.LABEL}', f'no {motion.zero.LABEL} command for '
                               f'{self._options.speed_timeout:g} s: sent its zero')
-        if self.heartbeats.is_due(now):
+        if self.heartbeats.pace.passed(now):
             messages.append(_HEARTBEAT)
-        return self._packets(messages, now), min(self.heartbeats.due, now + _LONGEST_SLEEP)
+        return self._packets(messages, now), min(self.heartbeats.pace.due, now + _LONGEST_SLEEP)
 
     def due(self, now: float, is_drained: bool) -> Tuple[List[Packet], Optional[float]]:
         self.idle(now)
@@ -183,15 +184,14 @@ class CarSession(Session):
     def sent(self, packet: Packet, now: float) -> None:
         message = packet.message
         self._is_cut = False
-        self._line.wrote(len(packet.frame), now)
+        self._line.wrote(len(packet.frame), now, message is _HEARTBEAT)
         if message is _HEARTBEAT:
-            self._line.wrote_heartbeat()
             self.heartbeats.count(now)
         elif packet.type in self._motions:
             self._motions[packet.type].sent(message, now)
         elif isinstance(message, wire.ImuCalibration):
-            self.calibration = Calibration(self._options.calibration_timeout, now)
-            self._on.calibrating(True)
+            self.calibration = Calibration(now)
+            self._on_calibrating(True)
 
     def not_sent(self, packet: Packet, why: str) -> None:
         if self._is_zero(packet.message):
@@ -205,8 +205,9 @@ class CarSession(Session):
         self.board_settings.reset()
         self.heartbeats.begin(now)
         self.dropped()
-        if self.calibration:
-            self.calibration.watch_again(now)
+        calibration = self.calibration      # the link's thread may set it to None
+        if calibration:
+            calibration.watch_again(now)
 
     def dropped(self) -> None:
         self._line.restart()
@@ -226,7 +227,7 @@ class CarSession(Session):
         message = frame.message
         if isinstance(message, wire.Log):
             if self._board_lines.take(now):
-                self._on.log(message.severity, message.text)
+                self._on_log(message.severity, message.text)
             else:
                 self.log.warn('chatter', 'the board logs too much (over {} lines at once or {:g} a '
                               'second): some lines are left out'.format(*_BOARD_LINES))
@@ -235,29 +236,31 @@ class CarSession(Session):
         elif isinstance(message, SettingMessage):
             self.board_settings.received(message, self.announcement.is_current)
         elif not isinstance(message, wire.Time):
-            if self.calibration and isinstance(message, wire.Imu):
-                self._end_calibration(self.calibration.imu_data(now))
+            calibration = self.calibration      # a reset may set it to None
+            if calibration and isinstance(message, wire.Imu):
+                self._end_calibration(calibration.imu_data(now))
             if not self.announcement.holds_back(message):
-                self._on.message(message, frame.stamp)
+                self._on_message(message, frame.stamp)
 
     def idle(self, now: float) -> Optional[float]:
-        if self.calibration:
-            self._end_calibration(self.calibration.check_timeout(now))
+        calibration, timeout = self.calibration, self._options.calibration_timeout
+        if calibration and now >= calibration.began + timeout:
+            self._end_calibration(f'the calibration did not end within {timeout:g} s; commands are '
+                                  'accepted again; check the board')
         return None
 
     def was_reset(self) -> None:
-        self._end_calibration(End.RESET)
+        self._end_calibration(_RESET)
 
-    def _end_calibration(self, end: Optional[End]) -> None:
-        """End the calibration, if there is one, for this reason; None: it is not over."""
-        if end is None or not self.calibration:
-            return
-        self.calibration = None
-        if end in (End.BACK, End.RESET):
-            self.log.info('calibrated', end.value)
-        else:
-            self.log.warn('not calibrated', end.value.format(self._options.calibration_timeout))
-        self._on.calibrating(False)
+    def _end_calibration(self, why: str) -> None:
+        """End the calibration, if there is one; '': it is not over."""
+        if why and self.calibration:
+            self.calibration = None
+            if why in (BACK, _RESET):
+                self.log.info('calibrated', why)
+            else:
+                self.log.warn('not calibrated', why)
+            self._on_calibrating(False)
 
     # -- what it looks like -------------------------------------------------------------------
 
@@ -287,11 +290,3 @@ class CarSession(Session):
                 ('heartbeat gap [ms]', f'{self.heartbeats.shown_gap * 1e3:.2f}'),
                 ('heartbeat max gap [ms]', f'{self.heartbeats.max_gap * 1e3:.2f}'),
                 *self.board_settings.values()]
-
-
-class _Handlers(NamedTuple):
-    """What is told of messages."""
-
-    message: Callable[[Any, Any], None]
-    log: Callable[[int, str], None]
-    calibrating: Callable[[bool], None]

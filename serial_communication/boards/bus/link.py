@@ -1,20 +1,16 @@
 """The link to the control board: sends polls, and requests of callers, who wait for the outcome."""
-import logging
 import os
-from typing import Any, Callable, List, Optional, Sequence, Tuple
+from typing import Any, Callable, List, Optional, Tuple
 
 from ...framing.stream import IMPLAUSIBLE, LENGTH, Frame
 from ...link.link import Link
-from ...link.outcome import NOT_SENT, STOPPED, TIMEOUT, Outcome
+from ...link.outcome import STOPPED, TIMEOUT, Outcome
 from ...link.session import Condition, Packet, Refused, Session
 from ...link.sparing_log import SparingLog
-from ...transport.pace import clock
-from ...transport.port import Port
 from . import wire
-from .announcement import AnnouncementReader
 from .call import UNKNOWN, Call, OnSuccess
-from .master import BusSettings, Master
-from .polls import Polls
+from .master import Master, MasterOptions
+from .polls import AnnouncementReader, Polls
 from .session import NO_SYNC, READY
 
 _NOT_ANNOUNCED = 'the board may have begun anew, and has not announced this function since'
@@ -30,20 +26,15 @@ class MasterSession(Session):
     NAME = 'bus'
     FENCED = True      # the Master drops all replies until its ECHO or SYNC is answered
 
-    def __init__(self, log: SparingLog, settings: BusSettings, nonce: Callable[[], bytes],
-                 on_environment: Callable[[wire.Environment, Any], None]) -> None:
-        super().__init__(wire.ReplyDecoder(settings.reply_has_cmd2), log)
-        self.master = Master(settings, log, nonce, self._refuses, self._begun_anew)
-        self.on_environment: OnSuccess = lambda outcome: on_environment(
-            wire.Environment.unpack(outcome.data), outcome.stamp)
+    def __init__(self, log: SparingLog, options: MasterOptions = MasterOptions(),
+                 nonce: Callable[[], bytes] = lambda: os.urandom(4)) -> None:
+        super().__init__(wire.ReplyDecoder(options.reply_has_cmd2), log)
+        self.master = Master(options, log, nonce, self._refuses, self._begun_anew)
         self.polls = Polls(self._poll)
         # Requests of functions that interrupt, which ~stop calls.
         self.stops: List[Tuple[wire.Request, wire.Function]] = []
-        self._settings = settings
+        self.options = options
         self._reader: Optional[AnnouncementReader] = None
-        if settings.environment_period:
-            self.polls.add(wire.ENVIRONMENT_FUNCTION, settings.environment_period,
-                           self.on_environment)
 
     # -- for the Master -----------------------------------------------------------------
 
@@ -59,13 +50,10 @@ class MasterSession(Session):
             self._reader.begin(now)
 
     def _poll(self, request: wire.Request, function: wire.Function, now: float,
-              on_success: Optional[OnSuccess] = None) -> Call:
+              on_success: Optional[OnSuccess]) -> Call:
         call = self.master.make(request, function, now, on_success, is_poll=True)
         self.master.submit(call, now)
         return call
-
-    def _ask(self, index: int, now: float) -> Call:
-        return self._poll(wire.ANNOUNCEMENT.make_request((index,)), wire.ANNOUNCEMENT, now)
 
     # -- what happens -------------------------------------------------------------------
 
@@ -74,8 +62,8 @@ class MasterSession(Session):
             self.master.doubt('the link begins anew', now)
             return
         self.polls.start(now)
-        if self._settings.announcements:
-            self._reader = AnnouncementReader(self._ask, self.announcement.assembly, self.log)
+        if self.options.announcements:
+            self._reader = AnnouncementReader(self._poll, self.announcement.assembly, self.log)
         self.master.begin(now)
 
     def end(self, why: str, now: float) -> None:
@@ -128,7 +116,7 @@ class MasterSession(Session):
         return [self._packet(each) for each in iter(lambda: self.master.next(now, False), None)]
 
     def _packet(self, request: wire.Request) -> Packet:
-        return Packet(wire.encode_request(request, self._settings.environment_datelen),
+        return Packet(wire.encode_request(request, self.options.environment_datelen),
                       request.cmd1, request.cmd2, request.data, request)
 
     def under_way(self, is_reset: bool = False) -> str:
@@ -166,46 +154,17 @@ class MasterSession(Session):
 
 
 class BusLink(Link):
-    """Takes requests from any thread. Each gets an outcome, whatever happens to the port.
-
-    Args:
-        on_environment: called in the link's thread with each reading and its stamp.
-        nonce: returns new bytes for an ECHO.
-        link_arguments: those of `Link`.
-    """
+    """Takes requests from any thread. Each gets an outcome, whatever happens to the port."""
 
     session: MasterSession
-
-    def __init__(self, port: Port, settings: BusSettings = BusSettings(),
-                 on_environment: Callable[[wire.Environment, Any], None] = lambda *_: None,
-                 nonce: Callable[[], bytes] = lambda: os.urandom(4),
-                 logger: Optional[logging.Logger] = None, now: Callable[[], float] = clock,
-                 **link_arguments: Any) -> None:
-        log = SparingLog('bus', logger or logging.getLogger(__name__), clock=now)
-        super().__init__(port, MasterSession(log, settings, nonce, on_environment), now=now,
-                         **link_arguments)
-
-    def environment(self) -> Tuple[Outcome, Optional[wire.Environment]]:
-        """A new reading, or None if the request did not succeed."""
-        outcome = self.request(wire.ENVIRONMENT_REQUEST, wire.ENVIRONMENT_FUNCTION,
-                               on_success=self.session.on_environment)
-        return outcome, wire.Environment.unpack(outcome.data) if outcome.success else None
-
-    def call(self, function: wire.Function, values: Sequence) -> Outcome:
-        """Call a function with these values of its request's layout, and wait for the outcome."""
-        try:
-            request = function.make_request(values)
-        except ValueError as error:
-            return Outcome(NOT_SENT, f'{error}; nothing was sent')
-        return self.request(request, function)
 
     def request(self, request: wire.Request, function: wire.Function = wire.RAW,
                 on_success: Optional[OnSuccess] = None) -> Outcome:
         """Send any request and wait for its outcome, which always comes: see `submit`."""
         call = self.submit(request, function, on_success)
-        turns = call.tries * (self.session.master.queue.longest_wait + call.timeout)
-        if not call.over.wait(turns):       # then the Master drops it
-            call.finish(Outcome(TIMEOUT, f'the bridge is stuck: {UNKNOWN}'))
+        turn = self.session.master.queue.longest_wait + call.timeout
+        if not call.over.wait((1 + self.session.options.retries) * turn):
+            call.finish(Outcome(TIMEOUT, f'the bridge is stuck: {UNKNOWN}'))    # it is dropped
         assert call.outcome
         return call.outcome
 

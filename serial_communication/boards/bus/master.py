@@ -19,13 +19,12 @@ STALLED = 'it may have waited while the bridge stalled'
 _PATIENCE = 0.8     # s that a call waits for a board that does not answer
 
 
-class BusSettings(NamedTuple):
+class MasterOptions(NamedTuple):
     """Parameters of the session; times are in s."""
 
     reply_timeout: float = 0.5
     motion_timeout: float = 5.0
     retries: int = 2                   # further tries of a repeatable request
-    environment_period: float = 1.0    # 0: never
     environment_datelen: int = 2
     reply_has_cmd2: bool = False
     echo: bool = True                  # whether the board knows ECHO
@@ -41,15 +40,15 @@ class Master:
         begun_anew: called with the time when the board may be another one, or was reset.
     """
 
-    def __init__(self, settings: BusSettings, log: SparingLog, nonce: Callable[[], bytes],
+    def __init__(self, options: MasterOptions, log: SparingLog, nonce: Callable[[], bytes],
                  refuses: Callable[[wire.Function], str],
                  begun_anew: Callable[[float], None]) -> None:
-        self.channel = Channel(settings.echo, settings.reply_timeout, log)
-        self.queue = Queue(max(settings.motion_timeout, TRIES * settings.reply_timeout))
+        self.channel = Channel(options.echo, options.reply_timeout, log)
+        self.queue = Queue(max(options.motion_timeout, TRIES * options.reply_timeout))
         self.timeouts = 0
         self.data_errors: Dict[str, int] = Counter()         # in an OK, by cause
         self.round_trips: Deque[float] = deque(maxlen=200)   # s; the latest
-        self._settings, self._log = settings, log
+        self._options, self._log = options, log
         self._nonce, self._refuses, self._begun_anew = nonce, refuses, begun_anew
         self._ticked_at = self._stalled_at = float('-inf')      # the end of the latest stall
 
@@ -57,8 +56,8 @@ class Master:
              on_success: Optional[OnSuccess] = None, is_poll: bool = False) -> Call:
         """A call, to be submitted."""
         moves = wire.built_in(request, function).moves      # a raw request may be one, too
-        timeout = self._settings.motion_timeout if moves else self._settings.reply_timeout
-        return Call(request, function, function.timeout or timeout, 1 + self._settings.retries, now,
+        timeout = self._options.motion_timeout if moves else self._options.reply_timeout
+        return Call(request, function, function.timeout or timeout, 1 + self._options.retries, now,
                     is_poll, on_success)
 
     # -- events -------------------------------------------------------------------------
@@ -108,7 +107,7 @@ class Master:
             if call and event is Event.ANSWER:
                 error = self._data_error(call, reply)
         if error:       # without ECHO the right reply may follow
-            event = Event.FAILED if self._settings.echo else Event.OTHER
+            event = Event.FAILED if self._options.echo else Event.OTHER
         if event is Event.LOST and channel.unanswered[Kind.ECHO] >= TRIES:
             event = Event.OTHER     # SYNC and ECHO do not alternate faster than ECHOs time out
         if event is Event.LOST or event is Event.ANSWER and reply.cmd1 == wire.SYNC:
@@ -178,16 +177,16 @@ class Master:
         needs_fence = call.function.cmd1 == wire.FUNCTION and not (
             call.is_poll and call.request == channel.latest)        # rule 6
         if needs_fence and not channel.is_fenced(now):
-            return self._probe(now) if self._settings.echo else None
+            return self._probe(now) if self._options.echo else None
         self.queue.waiting.remove(call)
         call.tries -= 1
         return channel.send(call.request, now, call.timeout, call)
 
     def _probe(self, now: float) -> wire.Request:
         """Send what has to be answered before the next call; rules 2 and 6."""
-        is_echo = self.channel.synchronised and self._settings.echo
+        is_echo = self.channel.synchronised and self._options.echo
         return self.channel.send(wire.echo(self._nonce()) if is_echo else wire.SYNC_REQUEST,
-                                 now, self._settings.reply_timeout)
+                                 now, self._options.reply_timeout)
 
     def due(self, now: float) -> float:
         """When `tick` and `next` are to be called next, at the latest."""
@@ -224,7 +223,7 @@ class Master:
 
     def _data_error(self, call: Call, reply: wire.Reply) -> str:
         """What is wrong with the data of an OK, which is counted; '': nothing; rule 5."""
-        if not self._settings.echo and reply.data and call.function.reply.is_empty:
+        if not self._options.echo and reply.data and call.function.reply.is_empty:
             return 'it has data, so it is the reply to another request'
         cause, error = call.function.data_error(reply)
         if error:
@@ -250,7 +249,7 @@ class Master:
         may_be_done = call.told and not call.refused    # an earlier try
         self.queue.again(call, now, unknown(
             f'received INVALID ({wire.describe_error(code)}), perhaps because of noise on the line',
-            code), outcome if is_certain and self._settings.echo and not may_be_done else None)
+            code), outcome if is_certain and self._options.echo and not may_be_done else None)
 
     def _timed_out(self, exchange: Exchange, now: float) -> None:
         """The time for the reply is over; rule 3."""

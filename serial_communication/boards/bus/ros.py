@@ -19,9 +19,9 @@ from ...ros.publishing import publisher, wanted
 from ...ros.rows import row_parameters
 from ...transport.port import Port
 from . import DESCRIPTION, wire
-from .link import BusLink, BusSettings
+from .link import BusLink, MasterOptions, MasterSession
 
-_DEFAULTS = BusSettings()
+_DEFAULTS = MasterOptions()
 
 
 class BusInterface(Interface):
@@ -34,7 +34,7 @@ class BusInterface(Interface):
         'reply_timeout': seconds(_DEFAULTS.reply_timeout, 0.01, 60.0),
         'motion_timeout': seconds(_DEFAULTS.motion_timeout, 0.01, 600.0),
         'retries': Parameter(_DEFAULTS.retries, 0, 100),
-        'environment_period': seconds(_DEFAULTS.environment_period, 0.0, 86400.0),
+        'environment_period': seconds(1.0, 0.0, 86400.0),
         'environment_datelen': Parameter(_DEFAULTS.environment_datelen, choices=(0, 2)),
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'echo': Parameter(_DEFAULTS.echo),
@@ -44,10 +44,13 @@ class BusInterface(Interface):
 
     def __init__(self, parameters: Dict[str, Any], link_options: LinkOptions) -> None:
         p = parameters
-        self.link = BusLink(
-            Port(p['port'], p['baud']),
-            BusSettings(**{name: p[name] for name in BusSettings._fields}),
-            on_environment=self._publish_environment, **link_options._asdict())
+        session = MasterSession(link_options.log(self.NAME), MasterOptions(
+            **{name: p[name] for name in MasterOptions._fields}))
+        if p['environment_period']:
+            session.polls.add(wire.ENVIRONMENT_FUNCTION, p['environment_period'],
+                              self._publish_environment)
+        self.link = BusLink(Port(p['port'], p['baud']), session, link_options.frame_timeout,
+                            link_options.clock, link_options.earlier)
         self.binder = Binder(DESCRIPTION, self.link, p)
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
@@ -62,11 +65,12 @@ class BusInterface(Interface):
         rospy.Service('~bus/request', BusRequest, self._request)
 
     def _get_environment(self, _request: Any) -> GetEnvironmentResponse:
-        outcome, reading = self.link.environment()
+        outcome = self.link.request(wire.ENVIRONMENT_REQUEST, wire.ENVIRONMENT_FUNCTION,
+                                    self._publish_environment)
         response = fill_response(GetEnvironmentResponse(), outcome)
-        if reading:
-            response.environment = self._message(reading, outcome.stamp)
-            response.message = f'done: {reading}'
+        if outcome.success:
+            response.environment = self._message(outcome)
+            response.message = f'done: {wire.Environment.unpack(outcome.data)}'
         return response
 
     def _request(self, request: Any) -> BusRequestResponse:
@@ -77,11 +81,12 @@ class BusInterface(Interface):
         return response
 
     def _echo(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.call(wire.ECHO_FUNCTION, (os.urandom(4),))
+        outcome = self.link.request(wire.echo(os.urandom(4)), wire.ECHO_FUNCTION)
         return self._trigger(outcome, f'{outcome.round_trip * 1e3:.2f} ms')
 
     def _sync(self, _request: Any) -> TriggerResponse:
-        return self._trigger(self.link.call(wire.SYNC_FUNCTION, ()), 'synchronised')
+        outcome = self.link.request(wire.SYNC_REQUEST, wire.SYNC_FUNCTION)
+        return self._trigger(outcome, 'synchronised')
 
     @staticmethod
     def _trigger(outcome: Outcome, done: str) -> TriggerResponse:
@@ -90,17 +95,17 @@ class BusInterface(Interface):
             response.message = done
         return response
 
-    def _publish_environment(self, reading: wire.Environment, stamp: rospy.Time) -> None:
-        message = self._message(reading, stamp)
+    def _publish_environment(self, outcome: Outcome) -> None:
+        message = self._message(outcome)
         self._environment.publish(message)
         if wanted(self._temperature):
-            self._temperature.publish(Temperature(message.header, reading.temperature, 0.0))
+            self._temperature.publish(Temperature(message.header, message.temperature, 0.0))
         if wanted(self._humidity):
-            self._humidity.publish(RelativeHumidity(message.header, reading.humidity / 100, 0.0))
+            self._humidity.publish(RelativeHumidity(message.header, message.humidity / 100, 0.0))
 
-    def _message(self, reading: wire.Environment, stamp: rospy.Time) -> Environment:
-        message = Environment(None, *reading)
-        message.header.stamp = stamp
+    def _message(self, outcome: Outcome) -> Environment:
+        message = Environment(None, *wire.Environment.unpack(outcome.data))
+        message.header.stamp = outcome.stamp
         message.header.frame_id = self._frame_id
         return message
 

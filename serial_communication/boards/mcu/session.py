@@ -50,7 +50,7 @@ class SensorSession(Session):
         self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake())
         self.checksum_errors = 0        # those before the frame that is delivered
         self._lost = self._doubled = 0  # frames
-        self._is_silent = True          # no message of any class is received
+        self._heard_at = float('-inf')  # a message of any class
         self._timeout = timeout
         self._on_status, self._on_silence = on_status, on_silence
         self._last: Optional[Frame] = None      # since the link began anew
@@ -78,7 +78,7 @@ class SensorSession(Session):
             self.board_settings.received(message, self.announcement.is_current)
         # None: a valid frame of an unknown type
         elif message is not None and not isinstance(message, wire.Time):
-            self._is_silent = False
+            self._heard_at = now
             if frame.type in wire.MESSAGES:
                 self._latest.pop(None, None)
             elif None in self._latest:      # custom messages have no status of their own
@@ -121,14 +121,11 @@ class SensorSession(Session):
             if now >= silent_at:
                 self._latest[type_] = _Latest(kind, seq, received_at,
                                               max(silent_at + _STATUS_PERIOD, now))
-                if all(now >= latest.received_at + self._timeout
-                       for latest in self._latest.values()):
-                    self._is_silent = True
                 self._on_silence(kind, seq, now - received_at)
         return min(latest.silent_at for latest in self._latest.values())
 
     def talks(self, now: float) -> bool:
-        return not self._is_silent
+        return now < self._heard_at + self._timeout
 
     def values(self) -> List[Tuple[str, Any]]:
         return [('frames lost', self._lost), ('frames doubled', self._doubled),

@@ -49,6 +49,14 @@ def test_commands_are_sent_in_order(car):
     assert sent(car, SpeedCommand(500), SteeringCommand(1), LedCommand('left'), GRIPPER(12.5, 9))
 
 
+def test_a_busy_line_takes_the_zero_that_ends_a_motion(car):
+    car.link.set_speed(500)
+    while refusal(car.link.set_led, 'x' * 30) is None:
+        pass
+    assert refusal(car.link.set_speed, 1).cause == 'busy'
+    assert refusal(car.link.set_speed, 0) is None
+
+
 @pytest.mark.parametrize('text', ['x' * 31, 'blinké', 'a\0', 'x' * 1000000])
 def test_an_invalid_led_text_is_refused_with_a_short_text(car, text):
     refused = str(refusal(car.link.set_led, text))

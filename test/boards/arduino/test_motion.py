@@ -1,7 +1,7 @@
 """When the zero of a motion has to be sent; the tests set the time."""
 import pytest
 
-from serial_communication.boards.arduino.motion import Motion, Stop
+from serial_communication.boards.arduino.motion import Motion
 
 
 @pytest.fixture
@@ -26,9 +26,9 @@ def repetitions(motor, begin, end):
 
 def test_the_speed_is_unknown_until_the_first_speed_0():
     motor = Motion(0, 0.5)
-    assert motor.is_unknown and motor.moves and motor.due(0.0) is Stop.UNKNOWN
+    assert motor.is_unknown and motor.moves and motor.due(0.0)
     motor.sent(0, 0.0)
-    assert not motor.is_unknown and not motor.moves and motor.due(0.01) is None
+    assert not motor.is_unknown and not motor.moves and not motor.due(0.01)
 
 
 def test_a_stop_is_repeated_every_50_ms_for_a_second(motor):
@@ -55,36 +55,36 @@ def test_another_speed_ends_the_repetitions_and_a_calibration_holds_them_back(mo
     motor.sent(500, 100.0)
     motor.sent(0, 100.0)
     motor.sent(1, 100.1)
-    assert motor.due(100.2) is None
+    assert not motor.due(100.2)
     motor.sent(0, 100.2)
-    assert motor.due(100.3, board_reads=False) is None and motor.due(100.3) is Stop.REPEATED
+    assert not motor.due(100.3, board_reads=False) and motor.due(100.3)
 
 
 def test_repetitions_held_back_are_not_made_up_for(motor):
     motor.sent(500, 100.0)
     motor.sent(0, 100.0)
-    assert motor.due(100.1) is Stop.REPEATED
-    assert motor.due(103.0) is None
+    assert motor.due(100.1)
+    assert not motor.due(103.0)
 
 
 def test_speed_0_is_due_after_the_speed_timeout(motor):
     motor.sent(500, 100.0)
     motor.sent(400, 100.4)
-    assert motor.due(100.89) is None and motor.due(100.91) is Stop.TIMED_OUT
+    assert not motor.due(100.89) and motor.due(100.91)
     motor.sent(0, 100.91)
-    assert motor.due(100.96) is Stop.REPEATED
+    assert motor.due(100.96)
 
 
 def test_with_a_speed_timeout_of_0_no_speed_times_out():
     motor = Motion(0, 0.0)
     motor.sent(0, 0.0)
     motor.sent(500, 0.0)
-    assert motor.due(1e6) is None
+    assert not motor.due(1e6)
 
 
 def test_a_stop_of_an_unknown_speed_is_repeated(motor):
     motor.forget()
-    assert motor.due(100.0) is Stop.UNKNOWN
+    assert motor.due(100.0)
     motor.sent(0, 100.0)
     assert len(repetitions(motor, 100.0, 102.0)) == 20
 
@@ -92,6 +92,6 @@ def test_a_stop_of_an_unknown_speed_is_repeated(motor):
 def test_missed_repetitions_do_not_follow_all_at_once(motor):
     motor.sent(500, 100.0)
     motor.sent(0, 100.0)
-    assert motor.due(100.4) is Stop.REPEATED
+    assert motor.due(100.4)
     motor.sent(0, 100.4)
-    assert motor.due(100.42) is None and motor.due(100.45) is Stop.REPEATED
+    assert not motor.due(100.42) and motor.due(100.45)

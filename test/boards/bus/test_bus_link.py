@@ -2,10 +2,11 @@
 (test/sim)."""
 import pytest
 
-from steps import QUIET, Bus
+from steps import Bus
 from serial_communication.link.session import ERROR, OK
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.bus.master import MasterOptions
 
 LIFT = bus.lift(0, 100)
 
@@ -22,10 +23,12 @@ def test_calls_have_outcomes_and_diagnostics(logger):
     assert steps.link.report(steps.port.time)[:2] == (OK, 'ready')
 
 
-def test_the_environment_is_polled_and_published(logger):
+def test_a_function_is_polled(logger):
     readings = []
-    Bus(QUIET._replace(environment_period=1.0), clock=lambda: 'stamp', logger=logger,
-        on_environment=lambda reading, stamp: readings.append((reading, stamp))).run(5.5)
+    steps = Bus(clock=lambda: 'stamp', logger=logger)
+    steps.link.session.polls.add(bus.ENVIRONMENT_FUNCTION, 1.0, lambda outcome: readings.append(
+        (bus.Environment.unpack(outcome.data), outcome.stamp)))
+    steps.run(5.5)
     assert readings == [((350, 25.63, 48.12), 'stamp')] * 6
 
 
@@ -34,7 +37,7 @@ def test_the_environment_is_polled_and_published(logger):
     (bus.Request(0x0C, bus.LIFT), False)], ids=str)
 def test_only_lift_and_gimbal_have_the_motion_timeout(logger, request_, is_slow):
     """In a call of its own and in a raw request."""
-    steps = Bus(QUIET._replace(motion_timeout=2.5), logger=logger).run(1.0)
+    steps = Bus(MasterOptions(motion_timeout=2.5), logger=logger).run(1.0)
     steps.rule = lambda request: b'' if request == request_ else None
     outcome = steps.call(request_)
     assert outcome.status == TIMEOUT
@@ -42,18 +45,18 @@ def test_only_lift_and_gimbal_have_the_motion_timeout(logger, request_, is_slow)
 
 
 def test_invalid_arguments_are_refused_without_sending(logger):
-    link = Bus(logger=logger).run(1.0).link
-    for outcome, said in ((link.call(bus.LIFT_FUNCTION, (2, 10)), 'lift: direction is 2'),
-                          (link.call(bus.GIMBAL_FUNCTION, (0, 256)), 'angle is 256'),
-                          (link.request(bus.Request(1, 0, bytes(1025))), '1025')):
-        assert outcome.status == NOT_SENT and said in outcome.message
-        assert 'nothing was sent' in outcome.message
+    for make, said in ((bus.lift, 'lift: direction is 4'), (bus.gimbal, 'angle is 256')):
+        with pytest.raises(ValueError, match=said):
+            make(*((4, 10) if make is bus.lift else (0, 256)))
+    outcome = Bus(logger=logger).run(1.0).link.request(bus.Request(1, 0, bytes(1025)))
+    assert outcome.status == NOT_SENT and '1025' in outcome.message
+    assert 'nothing was sent' in outcome.message
 
 
 def test_a_closed_port_refuses_at_once(logger):
     steps = Bus(logger=logger)
     steps.port.is_there = False
     link = steps.run(1.0).link
-    for outcome in (link.request(LIFT), link.environment()[0]):
-        assert outcome.status == NOT_SENT and 'closed' in outcome.message
+    outcome = link.request(LIFT)
+    assert outcome.status == NOT_SENT and 'closed' in outcome.message
     assert link.report(steps.port.time).level == ERROR

@@ -8,7 +8,7 @@ import pytest
 
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import session
-from serial_communication.boards.bus.master import BusSettings, Master
+from serial_communication.boards.bus.master import Master, MasterOptions
 from serial_communication.boards.bus.session import TABLE, Event, Kind, State
 from serial_communication.framing.layout import Layout, Value
 from serial_communication.framing.rows import BOARD
@@ -56,7 +56,7 @@ class Player:
         logger = logging.Logger('master')
         logger.addHandler(logging.Handler())
         logger.handlers[0].emit = lambda record: self.log.append(record.getMessage())
-        self.master = Master(BusSettings(echo=echo), SparingLog('bus', logger), self._nonce,
+        self.master = Master(MasterOptions(echo=echo), SparingLog('bus', logger), self._nonce,
                              self._refuses, lambda now: setattr(self, 'announced', False))
 
     def _nonce(self):

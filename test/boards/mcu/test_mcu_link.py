@@ -33,7 +33,7 @@ class Watched:
         return dict(self.link.session.values())[key]
 
     def talks(self):
-        return self.link.session.talks(0.0)
+        return self.link.session.talks(self.link.now())
 
     def seqs(self):
         return [seq for _, seq, _ in self.got]
@@ -78,6 +78,7 @@ class Timed(Watched):
 
     def __init__(self, logger, **options):
         super().__init__(logger, timeout=0.2, **options)
+        self.link.now = lambda: self._now
         self._begin = self._now = self.link.session._latest[None].received_at
 
     def wait(self, end):
