@@ -32,8 +32,8 @@ class Writer:
         self._clock, self._now = clock, now
 
     def submit(self, request: Any, stamp: Any = None) -> None:
-        """Have the session take a request, which was made at `stamp` (None: unknown), and write what
-        that sends; Refused: nothing of it was sent."""
+        """Have the session take a request, which was made at `stamp` (None: unknown), and write
+        what that sends; Refused: nothing of it was sent."""
         with self._session.lock:
             now = self._now()
             self._admit(request, now, stamp)
