@@ -21,11 +21,7 @@ class Freshness:
         self._stamp: Any = None                 # the same as a stamp
 
     def awake(self, loop: str, now: float, stamp: Any = None) -> float:
-        """A loop runs; return the length in s of the stall that this ends, or 0.0.
-
-        Args:
-            stamp: of now.
-        """
+        """A loop runs; return the length in s of the stall that this ends, or 0.0."""
         seconds = now - self._awake.get(loop, now)
         self._awake[loop] = now
         if seconds <= STALL:
@@ -38,11 +34,8 @@ class Freshness:
         self._awake.pop(loop, None)
 
     def is_fresh(self, now: float, stamp: Any = None) -> bool:
-        """Whether what comes now cannot have waited during a stall, or while one lasts.
-
-        Args:
-            stamp: when it was made; after the end of the stall it is fresh at once.
-        """
+        """Whether what comes now cannot have waited during a stall, or while one lasts: what was
+        made after its end is fresh at once."""
         awake = list(self._awake.values())      # another thread may add one
         if any(now - at > STALL for at in awake):
             return False

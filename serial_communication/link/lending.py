@@ -1,6 +1,6 @@
 """Lends a port to another program, and resets its board."""
 import threading
-from typing import Callable, NamedTuple
+from typing import Callable
 
 from ..framing.layout import readable
 from ..transport.port import Port, PortError
@@ -13,38 +13,25 @@ _LONGEST_NAME = 60     # characters
 _LEAVES = 0.1          # s for what stops to leave the port before the board is reset
 
 
-class Loan(NamedTuple):
-    """Another program has borrowed the port."""
-
-    by: str = ''            # who; for people. '': nobody
-    until: float = float('-inf')     # s, monotonic
-
-    def __str__(self) -> str:
-        return f'lent to {self.by}'
-
-
 class Lending:
     """The loans of one port; any thread may call the methods. Refused: nothing has changed.
 
     A loan ends by itself, whatever happens to who asked for it: after 10 s at most the link opens
     the port again, as soon as no other program has it open.
-
-    Args:
-        writer: of the link.
-        now: s, monotonic.
     """
 
     def __init__(self, port: Port, session: Session, writer: Writer,
                  now: Callable[[], float]) -> None:
         self.reset_line = ''        # `dtr` or `rts`, which resets the board; '': none does
-        self.loan = Loan()
+        self.by = ''                # who has or had the latest loan, for people; '': nobody
+        self.until = float('-inf')  # s, monotonic; when it ends
         self.closed = threading.Event()     # the port is closed
         self._port, self._session, self._writer, self._now = port, session, writer, now
 
     @property
     def runs(self) -> bool:
         """Whether a loan runs."""
-        return self._now() < self.loan.until
+        return self._now() < self.until
 
     def lend(self, by: str, seconds: float) -> str:
         """Close the port and leave it alone for so many seconds from now on, at most 10; 0 ends the
@@ -56,13 +43,13 @@ class Lending:
                           'value')
         with self._session.lock:
             if seconds:
-                loan = Loan(by, self._now() + min(seconds, LONGEST_LOAN))
-                self._let_go(by, str(loan))
-                self.loan = loan
-                self._port.give_up(str(loan))
-                return str(loan)
-            if self.runs and by == self.loan.by:
-                self.loan = Loan(by)
+                until, text = self._now() + min(seconds, LONGEST_LOAN), f'lent to {by}'
+                self._let_go(by, text)
+                self.by, self.until = by, until
+                self._port.give_up(text)
+                return text
+            if self.runs and by == self.by:
+                self.until = float('-inf')
             self._port.wake()
             return 'the port is opened again'
 
@@ -89,8 +76,8 @@ class Lending:
 
     def _let_go(self, by: str, why: str) -> None:
         """Stop what moves, where the port may be given up."""
-        if self.runs and by != self.loan.by:
-            raise Refused(f'the port is {self.loan}', 'lent')
+        if self.runs and by != self.by:
+            raise Refused(f'the port is lent to {self.by}', 'lent')
         if not self._writer.fresh.is_fresh(self._now()):
             raise Refused(STALLED, 'stall')
         if self._port.is_open:

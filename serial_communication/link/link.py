@@ -10,14 +10,13 @@ from ..transport.port import Port, PortError
 from .freshness import FRESH
 from .lending import Lending
 from .outcome import Refused
-from .receiver import Receiver
+from .receiver import Receiver, Traffic
 from .reopening import Reopening
-from .report import Report, Reporter
+from .report import Report, report
 from .session import Doubt, Session
 from .sparing_log import SparingLog
 from .stamps import Stamps
 from .threads import Loop, prefer
-from .traffic import Traffic
 from .writer import Writer
 
 _LONGEST_SLEEP = 0.1           # s
@@ -53,14 +52,12 @@ class Link:
         self.receiver = Receiver(session, self.traffic,
                                  FrameTimer(session.decoder, frame_timeout, port.baud),
                                  Stamps(port, earlier, session.log, board_time))
-        self._reporter = Reporter(port, session, self.traffic, self.lending, self.reopening,
-                                  self.receiver)
         self._clock = clock
         self._due = 0.0                 # the next round, at the latest
         self._look_at = 0.0             # when to ask the session what is due
         self._settings_at = 0.0         # when to look at the settings of a tty
         self._publishes_at = 0.0        # what is received before is old
-        self._thread = Loop(f'{session.NAME} link', self.step)
+        self._thread = Loop(f'{session.NAME} link', self.step, session.log)
         session.wake = self.wake
 
     @property
@@ -83,7 +80,7 @@ class Link:
         """Start all threads of the link; none is started later."""
         self._thread.start()
         if self.session.BEATS:
-            beat = Loop(f'{self.name} heartbeat', self.writer.beat,
+            beat = Loop(f'{self.name} heartbeat', self.writer.beat, self.log,
                         lambda due: time.sleep(max(due - self.now(), 0.0)))
             beat.start()
             self.session.log.info('priority', prefer(beat))
@@ -116,7 +113,7 @@ class Link:
 
     def report(self, now: float) -> Report:
         """To be called once a second: the errors since the last call are those of that second."""
-        return self._reporter.report(now)
+        return report(self, now)
 
     # -- rounds, in the link's thread -------------------------------------------------------
 
@@ -141,8 +138,7 @@ class Link:
     def _closed_round(self) -> float:
         self.port.pause(self._due - self.now())
         now = self.now()
-        if self.writer.fresh.awake('link', now, self._clock()):
-            self._publishes_at = now + FRESH
+        self._awake(now, self._clock())
         with self.session.lock:
             due = self.session.idle(now)
         if now >= self.reopening.at and not self.lending.runs and not self.writer.has_ended:
@@ -153,22 +149,20 @@ class Link:
                 self.port.close()
                 self.reopening.failed(str(error) if isinstance(error, PortError)
                                       else f'fault while opening it: {error!r}', self.now())
-        opens_at = self.lending.loan.until if self.lending.runs else self.reopening.at
+        opens_at = self.lending.until if self.lending.runs else self.reopening.at
         return min(opens_at, now + _LONGEST_SLEEP, _NEVER if due is None else due)
 
     def _open(self) -> None:
         lending = self.lending
-        if lending.loan.by:
-            if self.port.is_used():
-                raise PortError(f'it was {lending.loan}, and another program still has it open')
-            lending.loan = lending.loan._replace(by='')
+        if lending.by and self.port.is_used():
+            raise PortError(f'it was lent to {lending.by}, and another program still has it open')
         self.writer.fresh.rest('link')
         try:
             self.port.open()
         finally:
             now = self.now()
             self.writer.fresh.awake('link', now)
-        self.reopening.opened(now)
+        self.reopening.opened()
         self.receiver.reset()
         lending.closed.clear()
         self._look_at, self._settings_at = now, now + _LOOK_AT_SETTINGS
@@ -176,20 +170,22 @@ class Link:
             self.session.presence.opened(now)
             self.writer.opened(now)
             self.session.begin(now, is_opening=True)
+            if lending.runs:        # since the opening has begun
+                self.port.give_up(f'lent to {lending.by}')
+            else:
+                lending.by = ''
 
     def _lost(self, why: str) -> None:
         """The port is gone, or given up."""
         now = self.now()
         self.reopening.lost(why, now)
-        if self.lending.runs:
-            self.port.drain(_LEAVES)
         self._close()
         self._due = now
 
     def _close(self) -> None:
         if not self.port.is_open:
             return
-        if self.writer.has_ended:
+        if self.writer.has_ended or self.lending.runs:
             self.port.drain(_LEAVES)
         with self.session.lock:
             self.port.close()
@@ -203,10 +199,11 @@ class Link:
         # The clock after that: what it takes to make its stamp varies, and is not in `now`.
         now = self.now()
         stamp = self._clock()
-        stall = self.writer.fresh.awake('link', now, stamp)
-        if stall:
+        stall = self._awake(now, stamp)
+        if stall:       # what waited is old, and would get a new stamp
             with session.lock:
-                self._stalled(stall, now)
+                self.writer.begin_anew(f'the bridge stalled for {stall:.3g} s',
+                                       keeps_port=session.FENCED and self.port.is_network)
         if self.writer.drops_input:
             self.writer.drops_input = False
             receiver.reset()
@@ -221,13 +218,12 @@ class Link:
         frame_due = receiver.due()
         return self._look_at if frame_due is None else min(self._look_at, frame_due)
 
-    def _stalled(self, seconds: float, now: float) -> None:
-        """The thread did not run for so long: what waited is old, and would get a new stamp."""
-        fenced = self.session.FENCED
-        if not fenced:
+    def _awake(self, now: float, stamp: Any) -> float:
+        """Return for how many seconds this thread did not run, if that was a stall, or 0.0."""
+        stall = self.writer.fresh.awake('link', now, stamp)
+        if stall:
             self._publishes_at = now + FRESH
-        self.writer.begin_anew(f'the bridge stalled for {seconds:.3g} s',
-                               keeps_port=fenced and self.port.is_network)
+        return stall
 
     def _look(self, now: float, is_drained: bool) -> float:
         """Do what is due, and look at what rarely changes; return when to do that again."""
@@ -243,22 +239,20 @@ class Link:
                 self.writer.begin_anew(str(doubt))
             except Refused:
                 pass        # the session was told
-        session.presence.check(
-            session.talks(now), f'{session.silence()}; check its power, its wiring and the baud '
-            f'rate ({self.port.baud})', now)
+        session.presence.check(session.talks(now), self.port.baud, now)
         return now + _LONGEST_SLEEP if due is None else min(due, now + _LONGEST_SLEEP)
 
     def _check_port(self, now: float) -> None:
         """Begin anew where the port may hold something back, or change it."""
-        presence, limit = self.session.presence, self.session.longest_silence()
+        session, presence = self.session, self.session.presence
+        limit = session.network_silence if session.reads(now) else 0.0
         if self.port.hides and presence.frame_at is not None and not self.writer.is_silent \
                 and 0 < limit <= now - presence.byte_at:
             self.writer.is_silent = True
             self.writer.begin_anew(f'nothing received from the board for {limit:g} s')
         if now >= self._settings_at:
             self._settings_at = now + _LOOK_AT_SETTINGS
-            changed = self.port.changed_settings()
-            if changed:
+            if self.port.changed_settings():
                 self.writer.begin_anew(
-                    f'{self.port.url}: another program changed the settings of this port '
-                    f'({changed}); keep other programs (stty, a serial monitor) off it')
+                    f'{self.port.url}: another program changed the settings of this port; keep '
+                    'other programs (stty, a serial monitor) off it')

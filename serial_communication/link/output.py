@@ -13,7 +13,6 @@ class Output:
 
     Args:
         byte_time: s that the line needs for a byte.
-        is_network: whether the port is a network's.
     """
 
     def __init__(self, byte_time: float, is_network: bool) -> None:

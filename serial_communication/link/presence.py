@@ -8,6 +8,8 @@ _STARTUP_TIME = 3.0   # s after the port opened in which a board may still start
 _NO_FRAME_TIME = 5.0  # s in which bytes come, but no valid frame
 _NO_FRAME = ('no valid frame: wrong baud rate or board? end the bridge and run '
              '`rosrun serial_communication ports`')
+_SILENT = 'the board is silent; check its power, its wiring and the baud rate ({})'
+_TALKS = 'ready: the board talks'
 
 
 class Presence:
@@ -20,7 +22,6 @@ class Presence:
         self._understood_at = 0.0   # the latest one whose type is known; the opening counts, too
         self._log = log
         self._state = ''            # that was logged last
-        self._silent_since = 0.0
 
     def opened(self, now: float) -> None:
         self.opened_at = self.byte_at = self._understood_at = now
@@ -39,25 +40,15 @@ class Presence:
         return _NO_FRAME if self.byte_at > max(
             now - SILENCE, self._understood_at + _NO_FRAME_TIME) else ''
 
-    def check(self, talks: Optional[bool], silence: str, now: float) -> None:
-        """Log a change.
-
-        Args:
-            talks: None: unknown.
-            silence: the line for a board that sends nothing.
-        """
-        state = 'talks' if talks else self.no_frame(now) or silence
+    def check(self, talks: Optional[bool], baud: int, now: float) -> None:
+        """Log a change; `talks` None: unknown."""
+        state = _TALKS if talks else self.no_frame(now) or _SILENT.format(baud)
         comes = self.byte_at > max(now - SILENCE, self.opened_at)      # wait for what that is
         if talks is None or state == self._state or not talks and (
                 now < self.opened_at + _STARTUP_TIME or comes and not self.no_frame(now)):
             return
-        if not talks:
-            self._log.warn('silent', state)
-            if self._state in ('', 'talks'):
-                self._silent_since = now
-        elif self._state:
-            self._log.info('back', 'the board is back, it was silent for '
-                           f'{now - self._silent_since:.3g} s')
+        if talks:
+            self._log.info('talks', state)
         else:
-            self._log.info('ready', 'ready: the board talks')
+            self._log.warn('silent', state)
         self._state = state

@@ -1,22 +1,44 @@
-"""From bytes that were read to frames in the session."""
+"""From bytes that were read to frames in the session, and what is counted of them."""
 import traceback
-from typing import Any, Optional
+from collections import Counter
+from typing import Any, Callable, Dict, Iterable, Optional
 
 from ..framing.stream import UNKNOWN, Frame, FrameTimer, stamped
 from .session import Session
+from .sparing_log import SparingLog
 from .stamps import Read, Stamps
-from .traffic import RX, Traffic
 
+RX, TX = 0, 1                  # as in SerialMsg
 _ANNOUNCING = 5.0              # s after the opening in which a board announces what it sends
+
+Tap = Callable[[str, int, Frame], None]      # gets the link's name, RX or TX, and the frame
+
+
+class Traffic:
+    """The traffic of one link; the causes of errors are shown although there are none."""
+
+    def __init__(self, name: str, log: SparingLog, causes: Iterable[str]) -> None:
+        self.tap: Optional[Tap] = None     # called with every frame in and out; None: no listener
+        self.frames_received = 0           # valid ones
+        self.frames_sent = 0
+        self.stale = 0                     # bytes dropped because they may be old
+        self.reported_errors = 0           # those until the latest report
+        self.errors: Dict[str, int] = Counter(dict.fromkeys(causes, 0))     # by cause
+        self._name, self._log = name, log
+
+    def tapped(self, direction: int, frame: Frame) -> None:
+        """Pass a frame to the listener."""
+        tap = self.tap      # another thread may set it to None meanwhile
+        try:
+            if tap:
+                tap(self._name, direction, frame)
+        except Exception:  # pylint: disable=broad-except
+            # Guarded: an error here would look as if the frame had not been sent.
+            self._log.error('fault', traceback.format_exc())
 
 
 class Receiver:
-    """Decodes, counts, logs, stamps and passes on what one link receives; in its thread.
-
-    Args:
-        timer: gives up incomplete frames.
-        stamps: of frames.
-    """
+    """Decodes, counts, logs, stamps and passes on what one link receives; in its thread."""
 
     def __init__(self, session: Session, traffic: Traffic, timer: FrameTimer,
                  stamps: Stamps) -> None:

@@ -47,8 +47,6 @@ class Session:
     else with the lock held; so do subclasses where they share something with those.
 
     Args:
-        decoder: of what the board sends.
-        log: for warnings.
         network_silence: s without a byte after which a port that hides what it has not sent is in
             doubt; 0: never.
     """
@@ -68,7 +66,7 @@ class Session:
         self.presence = Presence(log)
         self.announcement = BoardAnnouncement(log)
         self.wake: Callable[[], None] = lambda: None    # set by the link: have `due` called soon
-        self._network_silence = network_silence
+        self.network_silence = network_silence
 
     # -- what happens -------------------------------------------------------------------
 
@@ -144,11 +142,6 @@ class Session:
         """Whether the board reads now what is sent to it."""
         return True
 
-    def longest_silence(self) -> float:
-        """s without a byte after which a port that hides what it has not sent is in doubt; 0:
-        never."""
-        return self._network_silence
-
     def condition(self, now: float) -> Condition:
         """The board's state while the port is open."""
         if self.talks(now):
@@ -159,10 +152,6 @@ class Session:
     def talks(self, now: float) -> Optional[bool]:
         """Whether the board talks, None: unknown; changes are logged."""
         return self.presence.talks(now)
-
-    def silence(self) -> str:
-        """The beginning of the log line for a silent board."""
-        return 'the board is silent'
 
     def shown(self, frame: Frame) -> Frame:
         """What `tap` gets for a received frame; called before `received`."""

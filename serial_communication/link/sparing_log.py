@@ -8,8 +8,8 @@ from ..transport import pace
 class SparingLog:
     """Logs at most one line for each cause in every `period` seconds, with the link's name.
 
-    The next line of a cause says how many were left out. Errors of the logger are ignored: a link
-    must not end because its log cannot be written.
+    The next line of a cause says how many were left out; those of the cause '' are all logged.
+    Errors of the logger are ignored: a link must not end because its log cannot be written.
     """
 
     def __init__(self, link: str, logger: logging.Logger, period: float = 10.0,
@@ -27,26 +27,16 @@ class SparingLog:
     def error(self, cause: str, text: str) -> None:
         self._log(logging.ERROR, cause, text)
 
-    def always_info(self, text: str) -> None:
-        """Log each line; the caller limits how often."""
-        self._write(logging.INFO, text)
-
-    def always_warn(self, text: str) -> None:
-        self._write(logging.WARNING, text)
-
     def _log(self, level: int, cause: str, text: str) -> None:
         now = self._clock()
         last = self._causes.get(cause)
-        if last is not None and now - last[0] < self._period:
+        if cause and last and now - last[0] < self._period:
             last[1] += 1
             return
         left_out = int(last[1]) if last else 0
         self._causes[cause] = [now, 0]
         if left_out:
             text += f' (and {left_out} more like it)'
-        self._write(level, text)
-
-    def _write(self, level: int, text: str) -> None:
         try:
             self._logger.log(level, '%s: %s', self._link, text)
         except Exception:  # pylint: disable=broad-except

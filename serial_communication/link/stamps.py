@@ -21,9 +21,7 @@ class Stamps:
     """The stamps of one link's frames.
 
     Args:
-        port: of the link.
         earlier: returns the stamp so many seconds before a stamp.
-        log: gets the frames that are too old.
         is_on: False: the stamps are those of the reads.
     """
 
@@ -34,32 +32,25 @@ class Stamps:
         self._earlier = earlier
         self._log = log
         self._is_on = is_on
-        self._is_told = False                # the board has sent a time
         self._errors = 0                     # frames that were too old
         self._ticks: Optional[int] = None    # the board's latest time
         self._at: Optional[float] = None     # when that was, monotonic; None: not known
         self._stamp: Any = None              # the same as a stamp
-        self._read: Optional[Read] = None    # the latest with a frame that has it
         self._delays: Deque[float] = deque(maxlen=_DELAYS)     # s from measurement to read
 
     def reset(self) -> None:
         """The port was opened, or the bridge stalled."""
         self._clock.reset()
         self._delays.clear()
-        self._ticks = self._read = None
+        self._ticks = None
 
     def of(self, frame: Frame, read: Read) -> Any:
-        """The stamp of the frame's measurement; that of its read if it is not known.
-
-        All frames of one measurement have the same stamp.
-        """
-        if frame.ticks == self._ticks and read is self._read:
-            return self._stamp
+        """The stamp of the frame's measurement, the same for all of its frames; that of its read if
+        it is not known."""
         if frame.ticks is None or not self._is_on:
             return read.stamp
         if frame.ticks != self._ticks:
-            self._is_told = True
-            self._ticks, self._read = frame.ticks, None
+            self._ticks = frame.ticks
             wire_time = (len(frame.raw) + frame.behind) * self._port.byte_time
             self._at = self._clock.measured_at(frame.ticks, read.at - wire_time)
             if self._at is not None:
@@ -72,16 +63,14 @@ class Stamps:
             self._log.warn('clock', "by the board's clock a frame is over 1 s old: it has the "
                            'stamp of its read')
             return read.stamp
-        if self._read is not None and not (
-                self._earlier(read.stamp, MOST_DELAY) <= self._stamp <= read.stamp):
-            return read.stamp      # the clock of the stamps was set since the earlier read
+        if not self._earlier(read.stamp, MOST_DELAY) <= self._stamp <= read.stamp:
+            return read.stamp      # the clock of the stamps was set since an earlier read
         self._delays.append(delay)
-        self._read = read
         return self._stamp
 
     def values(self) -> List[Tuple[str, Any]]:
         """For /diagnostics; empty if the board sends no time. From any thread."""
-        if not self._is_told:
+        if self._ticks is None:
             return []
         delays = sorted(self._delays)
         known = [f'{self._clock.drift:.0f}', f'{delays[len(delays) // 2] * 1e3:.2f}',

@@ -1,9 +1,12 @@
 """Threads that call a step again and again."""
 import threading
 import time
+import traceback
+from contextlib import suppress
 from typing import Callable
 
 from ..transport.pace import set_priority
+from .sparing_log import SparingLog
 
 _AFTER_FAULT = 0.1      # s until a thread goes on after an unexpected error
 _REALTIME_PRIORITY = 20
@@ -16,10 +19,10 @@ class Loop(threading.Thread):
         wait: sleeps until then, if the step itself does not.
     """
 
-    def __init__(self, name: str, step: Callable[[], float],
+    def __init__(self, name: str, step: Callable[[], float], log: SparingLog,
                  wait: Callable[[float], None] = lambda due: None) -> None:
         super().__init__(name=name, daemon=True)
-        self._step, self._wait = step, wait
+        self._step, self._log, self._wait = step, log, wait
 
     def run(self) -> None:
         """Errors of the step, and a lack of memory, do not end this."""
@@ -29,7 +32,9 @@ class Loop(threading.Thread):
                 self._wait(due)
                 due = self._step()
             except BaseException:  # pylint: disable=broad-except
-                time.sleep(_AFTER_FAULT)    # too little memory even to log it
+                with suppress(BaseException):       # there may be too little memory to log it
+                    self._log.error('fault', traceback.format_exc())
+                time.sleep(_AFTER_FAULT)
 
 
 def prefer(thread: threading.Thread) -> str:

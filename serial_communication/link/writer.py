@@ -1,5 +1,4 @@
 """All that is written to a port, from any thread: requests, what stops, heartbeats."""
-import traceback
 from typing import Any, Callable, Sequence
 
 from ..framing.stream import Frame
@@ -7,24 +6,18 @@ from ..transport.port import Port, PortBusy, PortError
 from .freshness import STALL, Freshness
 from .outcome import Refused
 from .output import Output
+from .receiver import TX, Traffic
 from .reopening import Reopening
 from .session import Doubt, Packet, Session
-from .traffic import TX, Traffic
 
 STALLED = 'it may have waited while the bridge stalled; send it again'
 _AT_END = 0.05                 # s that bytes may wait in the port before what stops goes out
-_AFTER_FAULT = 0.1             # s until a thread goes on after an unexpected error
 _NEVER = float('inf')
 
 
 class Writer:
     """The only way to the board: with the session's lock held, what is decided is written at once.
-
-    Args:
-        traffic: counts what is written.
-        reopening: knows why the port is closed.
-        clock: returns a stamp of now.
-        now: s, monotonic, also while suspended.
+    The arguments are those of the link.
     """
 
     def __init__(self, port: Port, session: Session, traffic: Traffic, reopening: Reopening,
@@ -39,12 +32,8 @@ class Writer:
         self._clock, self._now = clock, now
 
     def submit(self, request: Any, stamp: Any = None) -> None:
-        """Have the session take a request, and write what that sends; Refused: nothing of it was
-        sent.
-
-        Args:
-            stamp: when it was made, by the clock of the stamps; None: unknown.
-        """
+        """Have the session take a request, which was made at `stamp` (None: unknown), and write
+        what that sends; Refused: nothing of it was sent."""
         with self._session.lock:
             now = self._now()
             self._admit(request, now, stamp)
@@ -55,7 +44,7 @@ class Writer:
         with self._session.lock:
             now = self._now()
             packets = decide(now)
-            if self._port.is_usable:
+            if self._port.is_usable and not self.has_ended:
                 self.transmit(packets, now)
 
     def _admit(self, request: Any, now: float, stamp: Any) -> None:
@@ -139,11 +128,7 @@ class Writer:
             self._session.dropped()
 
     def begin_anew(self, why: str, keeps_input: bool = False, keeps_port: bool = False) -> None:
-        """What waits is dropped, and the session begins as after an opening.
-
-        Args:
-            keeps_port: what waits in the port is kept.
-        """
+        """Drop what waits, unless it is kept, and have the session begin as after an opening."""
         now = self._now()
         self._session.log.warn('doubt', f'{why}: what waits in the port is dropped, and the link '
                                'begins anew')
@@ -177,7 +162,4 @@ class Writer:
                     self.transmit(packets, now)
             except Refused:
                 pass        # the link's thread gets it, too, and logs it
-            except Exception:  # pylint: disable=broad-except
-                self._session.log.error('fault', traceback.format_exc())
-                due = now + _AFTER_FAULT
         return due

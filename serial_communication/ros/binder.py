@@ -127,9 +127,9 @@ class Binder:
         names, firmware = [each.row.name for each in accepted], announcement.firmware
         self.link.session.announcement.use(text, firmware, names)
         for line in said:
-            self.link.log.always_warn(line)
-        self.link.log.always_info(f'announces {", ".join(names) or "nothing"}'
-                                  + (f' (firmware {firmware})' if firmware else ''))
+            self.link.log.warn('', line)
+        self.link.log.info('', f'announces {", ".join(names) or "nothing"}'
+                           + (f' (firmware {firmware})' if firmware else ''))
         rospy.set_param(f'~{self.link.name}/{ANNOUNCED}', for_xml_rpc(
             {name: announcement.rows[name] for name in names}))
 

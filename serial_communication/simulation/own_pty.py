@@ -10,12 +10,10 @@ import termios
 import time
 import tty
 from contextlib import suppress
-from typing import Optional
 
 from ..transport.open_port import OpenPort
 from ..transport.port import Port, PortError
 
-_READ_SIZE = 65536
 _LOOK_AGAIN, _OTHERS = 0.01, 1.0     # s until other simulators, which end with this one, have ended
 
 
@@ -76,28 +74,14 @@ class _Master(OpenPort):
     is_pty = True
 
     def __init__(self, master: int, name: str, wake: int) -> None:
-        # pylint: disable=super-init-not-called  pyserial does not open it
-        self._master = master
+        super().__init__(master, wake)
         self._name = name
-        self._wake = wake
-
-    def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
-        ready, _, _ = select.select([self._master, self._wake],
-                                    [self._master] if wants_room else [], [], timeout)
-        with suppress(BlockingIOError):
-            if self._wake in ready:
-                os.read(self._wake, _READ_SIZE)
-            if self._master in ready:
-                return os.read(self._master, _READ_SIZE)
-        return b''
-
-    def send(self, data: bytes) -> int:
-        return os.write(self._master, data)
 
     def close(self) -> None:
         """Drop what was written but not read."""
+        super().close()
         with suppress(OSError, termios.error):
-            termios.tcflush(self._master, termios.TCOFLUSH)
+            termios.tcflush(self._fd, termios.TCOFLUSH)
             slave = os.open(self._name, os.O_RDWR | os.O_NOCTTY)
             termios.tcflush(slave, termios.TCIFLUSH)
             os.close(slave)

@@ -17,9 +17,10 @@ import serial
 
 from . import tty_settings
 from .port_errors import GONE, PortError
+from .urls import NETWORK, read_url
 
 _READ_SIZE = 4096      # so that a heartbeat never waits until a flood of bytes is decoded
-_SLICE = 0.05      # s; longest wait of pyserial's reads and writes
+_SLICE = 0.05      # s; longest wait of pyserial's reads
 _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
 _MOST_REFUSED = 3      # times in turn that a tty does not take its settings; then it keeps its own
 _PULSE = 0.1       # s for which a control line is changed to reset a board
@@ -30,77 +31,25 @@ _ACM = 166         # of /dev/ttyACM*, whose USB may have no line behind it
 
 
 class OpenPort:
-    """What only pyserial can read and write, as loop://; and the base of the other kinds."""
+    """A file descriptor that is not blocking; the base of the other kinds.
+
+    Args:
+        wake: a descriptor that can be read after `Port.wake`.
+    """
 
     is_pty = False
     has_baud = False     # whether its bytes were received at the baud rate
-
-    def __init__(self, opened: serial.SerialBase, wake: int) -> None:
-        self._serial = opened
-        self._wake = wake       # a descriptor that can be read after `Port.wake`
-
-    def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
-        """As `Port.read`; with `wants_room` it also returns when the port can be written, or after
-        some time."""
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while True:
-            has_time = deadline is None or time.monotonic() < deadline
-            try:
-                data: bytes = self._serial.read(
-                    min(self._serial.in_waiting, _READ_SIZE) or int(has_time))
-            except (AttributeError, TypeError):     # it is closed meanwhile
-                raise PortError('the connection has gone') from None
-            is_woken = False
-            with suppress(BlockingIOError):
-                is_woken = bool(os.read(self._wake, _READ_SIZE))
-            if data or is_woken or wants_room or not has_time:
-                return data
-
-    def escaped(self, frame: bytes) -> bytes:
-        """The bytes that carry a frame."""
-        return frame
-
-    def send(self, data: bytes) -> int:
-        """Send what is taken at once; return how many bytes. BlockingIOError: none."""
-        self._serial.write(data)
-        return len(data)
-
-    def unsent(self) -> int:
-        """How many bytes wait in the kernel to be sent; 0: none, or unknown."""
-        return self.on_its_way()
-
-    def on_its_way(self) -> int:
-        """The same, and those that the peer of a connection has not acknowledged."""
-        return 0
-
-    def changed_settings(self) -> str:
-        return ''
-
-    def renew(self, keeps_input: bool) -> int:
-        return 0
-
-    def pulse(self, line: str) -> None:
-        raise PortError('the port has no control lines')
-
-    def close(self) -> None:
-        """Close it, and drop what is not sent."""
-        self._serial.close()
-
-
-class _Polled(OpenPort):
-    """A kind with a file descriptor."""
-
     EVENTS = select.EPOLLIN
 
-    def __init__(self, opened: serial.SerialBase, wake: int, descriptor: int) -> None:
-        super().__init__(opened, wake)
-        self._fd = descriptor
+    def __init__(self, descriptor: int, wake: int) -> None:
+        self._fd, self._wake = descriptor, wake
         self._events = self.EVENTS      # that `_poll` waits for
         self._poll = select.epoll()
         self._poll.register(wake, select.EPOLLIN)
         self._poll.register(descriptor, self.EVENTS)
 
     def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
+        """As `Port.read`; with `wants_room` it also returns when the port can be written."""
         events = self.EVENTS | select.EPOLLOUT * wants_room
         if events != self._events:
             self._events = events
@@ -119,15 +68,34 @@ class _Polled(OpenPort):
                         raise PortError(GONE)
         return data
 
+    def escaped(self, frame: bytes) -> bytes:
+        """The bytes that carry a frame."""
+        return frame
+
     def send(self, data: bytes) -> int:
+        """Send what is taken at once; return how many bytes. BlockingIOError: none."""
         return os.write(self._fd, data)
 
+    def unsent(self) -> int:
+        """How many bytes wait in the kernel to be sent; 0: none, or unknown."""
+        return self.on_its_way()
+
     def on_its_way(self) -> int:
+        """The same, and those that the peer of a connection has not acknowledged."""
         return self._queued(termios.TIOCOUTQ)
 
+    def changed_settings(self) -> bool:
+        return False
+
+    def renew(self, keeps_input: bool) -> int:
+        return 0
+
+    def pulse(self, line: str) -> None:
+        raise PortError('the port has no control lines')
+
     def close(self) -> None:
+        """Close it, and drop what is not sent."""
         self._poll.close()
-        super().close()
 
     def _queued(self, request: int) -> int:
         with suppress(OSError):
@@ -135,7 +103,7 @@ class _Polled(OpenPort):
         return 0
 
 
-class OpenTty(_Polled):
+class OpenTty(OpenPort):
     """A tty, that is a serial device or a pseudo terminal: locked and raw.
 
     Its events are edge-triggered: the kernel wakes the reader once for what it delivers. Before
@@ -146,7 +114,8 @@ class OpenTty(_Polled):
     EVENTS = select.EPOLLIN | select.EPOLLET
 
     def __init__(self, opened: serial.SerialBase, wake: int, reset: bool) -> None:
-        super().__init__(opened, wake, opened.fileno())
+        super().__init__(opened.fileno(), wake)
+        self._serial = opened
         major = os.major(os.fstat(self._fd).st_rdev)
         self.is_pty = major in _PTY
         self.has_baud = not self.is_pty and major != _ACM
@@ -178,13 +147,10 @@ class OpenTty(_Polled):
         with suppress(OSError):
             fcntl.ioctl(self._fd, request)
 
-    def changed_settings(self) -> str:
-        if self._settings:
-            with suppress(OSError):         # the device is gone; the next read reports it
-                found = tty_settings.read(self._fd)
-                if found != self._settings:
-                    return tty_settings.changes(self._settings, found)
-        return ''
+    def changed_settings(self) -> bool:
+        with suppress(OSError):         # the device is gone; the next read reports it
+            return bool(self._settings) and tty_settings.read(self._fd) != self._settings
+        return False
 
     def renew(self, keeps_input: bool) -> int:
         waiting = 0 if keeps_input else self._queued(termios.FIONREAD)
@@ -214,17 +180,19 @@ class OpenTty(_Polled):
         setattr(self._serial, line, not is_rts)
 
     def close(self) -> None:
-        self._lock(termios.TIOCNXCL)    # it would last while any other program has the tty open
         super().close()
+        self._lock(termios.TIOCNXCL)    # it would last while any other program has the tty open
+        self._serial.close()
 
 
-class OpenSocket(_Polled):
+class OpenSocket(OpenPort):
     """socket://, a TCP connection. It sends small packets at once, detects a peer that vanished,
     and when it is closed it drops what is not sent, which else would arrive later."""
 
     def __init__(self, opened: serial.SerialBase, wake: int) -> None:
+        self._serial = opened
         self._socket = opened._socket       # pyserial has no public name for it
-        super().__init__(opened, wake, self._socket.fileno())
+        super().__init__(self._socket.fileno(), wake)
         tcp = socket.IPPROTO_TCP
         for level, option, value in (
                 (tcp, socket.TCP_NODELAY, 1), (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
@@ -242,11 +210,8 @@ class OpenSocket(_Polled):
             with suppress(OSError):     # already gone
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER,
                                         struct.pack('ii', 1, 0))     # resets it
-        self._end()
         super().close()
-
-    def _end(self) -> None:
-        """Close the socket itself: pyserial would then sleep for 0.3 s, as long as a stall."""
+        # pyserial's close would also sleep for 0.3 s, as long as a stall.
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
@@ -257,11 +222,24 @@ class OpenRfc2217(OpenSocket):
     """rfc2217://, telnet with the settings of a serial port. pyserial reads it; what is written
     goes to its socket, since pyserial's write would block."""
 
-    read = OpenPort.read
+    def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while True:
+            has_time = deadline is None or time.monotonic() < deadline
+            try:
+                data: bytes = self._serial.read(
+                    min(self._serial.in_waiting, _READ_SIZE) or int(has_time))
+            except (AttributeError, TypeError):     # it is closed meanwhile
+                raise PortError('the connection has gone') from None
+            is_woken = False
+            with suppress(BlockingIOError):
+                is_woken = bool(os.read(self._wake, _READ_SIZE))
+            if data or is_woken or wants_room or not has_time:
+                return data
 
-    def _end(self) -> None:
-        super()._end()
-        pyserials = vars(self._serial)      # else it would wait for its thread, and then sleep
+    def close(self) -> None:
+        super().close()
+        pyserials = vars(self._serial)      # else its end would wait for its thread, and then sleep
         reader, pyserials['_thread'] = pyserials['_thread'], None
         if reader:
             reader.join(_SLICE)     # the closed socket ends it
@@ -270,19 +248,18 @@ class OpenRfc2217(OpenSocket):
         return frame.replace(_IAC, _IAC * 2)
 
 
-def open_port(port: serial.SerialBase, scheme: str, wake: int, reset: bool) -> OpenPort:
-    """Open a port of pyserial's; OSError, ValueError or termios.error if that fails."""
-    port.timeout = _SLICE
-    if scheme != 'rfc2217':     # which has no write timeout
-        port.write_timeout = _SLICE
-    port.exclusive = True
+def open_port(url: str, baud: int, wake: int, reset: bool) -> OpenPort:
+    """Open a URL of pyserial's; OSError, ValueError or termios.error if that fails."""
+    port = serial.serial_for_url(url, do_not_open=True)
+    scheme = read_url(url)[1]
+    if not isinstance(port, serial.Serial) and scheme not in NETWORK:
+        raise PortError('only serial devices, socket:// and rfc2217:// can be opened')
+    port.baudrate, port.timeout, port.exclusive = baud, _SLICE, True
     port.open()
     try:
-        if isinstance(port, serial.Serial):
-            return OpenTty(port, wake, reset)
         if scheme == 'socket':
             return OpenSocket(port, wake)
-        return OpenRfc2217(port, wake) if scheme == 'rfc2217' else OpenPort(port, wake)
+        return OpenRfc2217(port, wake) if scheme == 'rfc2217' else OpenTty(port, wake, reset)
     except BaseException:
         port.close()
         raise

@@ -1,7 +1,7 @@
 """A serial port whose reads can be woken and whose writes never block.
 
-A port is anything that pyserial opens; what only pyserial can read (rfc2217://, loop://) is read
-in slices of 50 ms. `open_port` has the kinds.
+A port is a device, or a connection that pyserial opens; rfc2217:// is read in slices of 50 ms.
+`open_port` has the kinds.
 """
 import glob
 import os
@@ -12,11 +12,9 @@ import time
 from contextlib import suppress
 from typing import Optional, Set
 
-import serial
-
 from .open_port import OpenPort, open_port
 from .port_errors import PortBusy, PortError, explain
-from .urls import NETWORK, read_url
+from .urls import NETWORK, identity, read_url
 
 _HELD = 0.1             # s of wire time; a tty with more to send when it closes is held
 _MOST_WAKES = 65536     # calls of `wake` that one read takes
@@ -32,8 +30,9 @@ class Port:
     RETRY = 0.3     # s until a simulated board tries to open it again
 
     def __init__(self, url: str, baud: int = 115200, reset_on_open: bool = False) -> None:
-        self.url, self._scheme = read_url(url)
+        self.url, scheme = read_url(url)
         self.baud = baud
+        self.is_network = scheme in NETWORK     # it is on another computer
         self.bytes_received = 0
         self.bytes_sent = 0
         self._reset_on_open = reset_on_open
@@ -53,20 +52,10 @@ class Port:
         return self._opened is not None and not self._failure
 
     @property
-    def is_network(self) -> bool:
-        """Whether the port is on another computer."""
-        return self._scheme in NETWORK
-
-    @property
-    def is_pty(self) -> bool:
-        """Whether the open port is a pseudo terminal."""
-        opened = self._opened
-        return opened is not None and opened.is_pty
-
-    @property
     def hides(self) -> bool:
-        """Whether it hides what it has not sent."""
-        return self.is_network or self.is_pty
+        """Whether it hides what it has not sent: a connection, or an open pseudo terminal."""
+        opened = self._opened
+        return self.is_network or opened is not None and opened.is_pty
 
     @property
     def byte_time(self) -> float:
@@ -76,25 +65,22 @@ class Port:
 
     def open(self) -> None:
         """Open the port; raise PortError with the reason if it cannot be opened now."""
+        with self._lock:
+            self._failure = ''      # `give_up` is in force although it comes during the opening
         try:
             opened = self._open()
         except (OSError, ValueError, termios.error) as error:
             raise PortError(explain(error)) from None
         with self._lock:
-            self._rest, self._failure = b'', ''
-            self._opened = opened
+            self._rest, self._opened = b'', opened
 
     def _open(self) -> OpenPort:
-        port = serial.serial_for_url(self.url, do_not_open=True)
-        port.baudrate = self.baud
-        return open_port(port, self._scheme, self._wake_read, self._reset_on_open)
+        return open_port(self.url, self.baud, self._wake_read, self._reset_on_open)
 
     def is_used(self) -> bool:
         """Whether another program has the device open; False if that cannot be known."""
-        with suppress(OSError, ValueError, serial.SerialException):
-            path = serial.serial_for_url(self.url, do_not_open=True).port
-            return bool(path and open_in(path) - {os.getpid()})
-        return False
+        path = identity(self.url)
+        return isinstance(path, str) and bool(open_in(path) - {os.getpid()})
 
     def give_up(self, why: str) -> None:
         """Write nothing more until the port is opened again; the next `read` raises PortError,
@@ -106,17 +92,16 @@ class Port:
     def renew(self, keeps_input: bool = False) -> int:
         """Drop what waits in both directions, and restore the settings of a tty; it stays open.
 
-        Returns the number of bytes received that were dropped. With `keeps_input` these stay. A
-        network port can drop nothing: `give_up` instead. Of a pseudo terminal, up to 4095 bytes
-        that its other side can read already stay there.
+        Returns the number of bytes received that were dropped; with `keeps_input` these stay. A
+        network port can drop nothing, a pseudo terminal not what its other side can read already.
         """
         with self._lock:
             self._rest = b''
             return self._opened.renew(keeps_input) if self._opened else 0
 
-    def changed_settings(self) -> str:
-        """The settings of a tty that another program has changed, for people; '': none."""
-        return self._opened.changed_settings() if self._opened else ''
+    def changed_settings(self) -> bool:
+        """Whether another program has changed the settings of a tty."""
+        return self._opened is not None and self._opened.changed_settings()
 
     def pulse(self, line: str) -> None:
         """Reset the board by the line `dtr` or `rts`; PortError if the port has no such lines."""

@@ -1,4 +1,4 @@
-"""Reads, sets, restores and compares the settings of a tty, as Linux keeps them.
+"""Reads and sets the settings of a tty, as Linux keeps them.
 
 One ioctl has all of them, any baud rate included, which the termios module cannot express.
 """
@@ -34,9 +34,3 @@ def set_raw(fd: int, baud: int) -> bytes:
     write(fd, _FORM.pack(0, 0, termios.CS8 | termios.CREAD | termios.CLOCAL | rate, 0, line,
                          bytes(characters), baud, baud))
     return read(fd)
-
-
-def changes(before: bytes, after: bytes) -> str:
-    """What differs, for people: "9600 baud", or "flags"."""
-    baud, changed = _FORM.unpack(before)[-1], _FORM.unpack(after)[-1]
-    return f'{changed} baud' if changed != baud else 'flags'

@@ -3,7 +3,6 @@
 import argparse
 import os
 import re
-import stat
 from contextlib import suppress
 from typing import Hashable, Optional, Tuple
 from urllib.parse import urlsplit
@@ -50,23 +49,16 @@ def url_argument(text: str) -> str:
 
 
 def identity(url: str) -> Optional[Hashable]:
-    """A value that is equal for two URLs of the same port; by its path if the device is absent.
-
-    None: each opening leads to a different port (loop://).
-    """
+    """A value that is equal for two URLs of the same port; None: each opening leads to another."""
     url, scheme = read_url(url)
     if scheme == 'loop' or scheme == 'hwgrep' and 'skip_busy' in url:
         return None
     if scheme in NETWORK:
         host = urlsplit(url)
         return ('127.0.0.1' if host.hostname == 'localhost' else host.hostname), host.port
-    path = url
     try:
-        path = serial.serial_for_url(url, do_not_open=True).port    # also of hwgrep://, spy://
-        found = os.stat(path)
+        return os.path.realpath(serial.serial_for_url(url, do_not_open=True).port)
     except OSError:
-        return os.path.realpath(path)
+        return os.path.realpath(url)
     except ValueError:
         return url      # not a port; opening it reports why
-    # The device number is the same for links and for other names of the device in a container.
-    return found.st_rdev if stat.S_ISCHR(found.st_mode) else os.path.realpath(path)

@@ -18,7 +18,7 @@ class MemoryPort(Port):
         super().__init__('socket://none:1' if kind == 'network' else '/dev/none')
         self.kind = kind
         self.time = 100.0
-        self.altered = ''       # settings of the tty that another program has changed
+        self.altered = False    # another program has changed the settings of the tty
         self.is_there, self.is_full, self.is_woken = True, False, False
         self.wrote = []         # the frames
         self.pulses = []        # the lines by which the board was reset
@@ -76,7 +76,7 @@ class _Opened:
         return self._port.altered
 
     def renew(self, keeps_input):
-        self._port.altered = ''
+        self._port.altered = False
         dropped = 0 if keeps_input else len(self._port._input)
         self._port._input = self._port._input[dropped:]
         return dropped

@@ -382,21 +382,3 @@ def test_a_vanished_peer_is_detected_within_5_s(connect):
         assert {reader.result() for reader in readers} == {'the host does not answer'}
         return all(1.0 < reader.took < 6.0 for reader in readers)
     again_if_stalled(detected)
-
-
-def test_a_port_without_a_descriptor_is_read_in_slices():
-    port = Port('loop://')
-    port.open()
-    port.write(b'round')
-    assert all_of(port.read, 5) == b'round'
-    begun = time.monotonic()
-    assert port.read(0.1) == b'' and time.monotonic() - begun >= 0.09
-    assert port.read(0) == b''
-    reader = Reader(port)
-    port.wake()
-    until(lambda: reader.returned)
-    reader.stop()
-    assert port.unsent() == 0
-    port.close()
-    with pytest.raises(PortError):
-        port.read(0)

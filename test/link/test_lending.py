@@ -44,6 +44,15 @@ def test_a_lent_port_is_closed_until_it_is_given_back(sensors):
     assert sensors.run(2.0).port.is_open
 
 
+def test_a_port_that_is_lent_while_it_is_opened_is_closed_again(sensors):
+    sensors.unplug()
+    opened = sensors.port._open
+    sensors.port._open = lambda: (sensors.link.lending.lend('x', 5.0), opened())[1]
+    assert not sensors.plug().port.is_open
+    sensors.port._open = opened
+    assert sensors.run(6.0).port.is_open
+
+
 @pytest.mark.parametrize('asked', [60.0, float('inf')])
 def test_a_loan_ends_by_itself_after_10_s(sensors, asked):
     assert lend(sensors, seconds=asked)[0]

@@ -57,7 +57,7 @@ class SimPort(Port):
             is_pty=device.kind == 'pty', has_baud=device.kind == 'tty', escaped=bytes,
             read=lambda _timeout, _wants_room: device.read(65536), send=device.send,
             unsent=device.unsent, on_its_way=device.unsent, renew=device.renew,
-            changed_settings=lambda: 'icanon' if device.is_altered else '',
+            changed_settings=lambda: device.is_altered,
             pulse=lambda _line: device.pulse(), close=device.close)
 
     is_used = staticmethod(lambda: False)       # type: ignore[assignment]

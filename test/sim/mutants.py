@@ -81,7 +81,8 @@ MUTANTS: Dict[str, Mutant] = {
     'the car moves while stopped': Mutant(
         '~stop holds', 'boards.arduino.session.CarSession', '_moves', _returns(False)),
     'stale bytes are published': Mutant(
-        'no stale value', 'link.link.Link', '_stalled', _nothing),
+        'no stale value', 'link.link.Link', '_awake', lambda _method:
+            lambda self, now, stamp: self.writer.fresh.awake('link', now, stamp) and 0.0),
     'an announcement is kept over an opening': Mutant(
         'announced rows wait', 'link.announcement.BoardAnnouncement', 'reset', _nothing),
     'values of an old announcement': Mutant(
@@ -134,8 +135,7 @@ MUTANTS: Dict[str, Mutant] = {
             method(self, frame, now), self._traffic.errors.update(
                 framing=frame.cause == 'framing'))),
     'a silent pty is trusted': Mutant(
-        'a silent pty takes no command', 'boards.arduino.session.CarSession', 'longest_silence',
-        _returns(0.0)),
+        'a silent pty takes no command', 'link.link.Link', '_check_port', _returns(None)),
     'changed settings leave no doubt': Mutant(
         'SPEED 0 after settings were restored', 'transport.port.Port', 'changed_settings',
         lambda method: lambda self: method(self) and str(self.renew())[:0]),

@@ -26,16 +26,6 @@ def test_a_pattern_of_devices_and_the_device_that_it_finds_are_the_same_port(mon
     assert identity('hwgrep://nul+') == identity('HWGREP://null') == identity('/dev/null')
 
 
-def test_a_second_device_node_is_the_same_port(tmp_path):
-    """As in a container that gets a device under another name."""
-    node = str(tmp_path / 'robot')
-    try:
-        os.mknod(node, 0o600 | 0o020000, os.stat('/dev/null').st_rdev)
-    except PermissionError:
-        pytest.skip('only root makes devices')
-    assert identity(node) == identity('/dev/null')
-
-
 def test_an_absent_device_is_identified_by_its_path(tmp_path):
     absent = str(tmp_path / 'absent')
     (tmp_path / 'link').symlink_to(absent)

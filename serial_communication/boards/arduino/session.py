@@ -270,9 +270,6 @@ class CarSession(Session):
     def under_way(self, is_reset: bool = False) -> str:
         return _CALIBRATES if self.calibration and not is_reset else ''
 
-    def longest_silence(self) -> float:
-        return 0.0 if self.calibration else super().longest_silence()
-
     def talks(self, now: float) -> Optional[bool]:
         return None if self.calibration else super().talks(now)     # then it is silent for minutes
 

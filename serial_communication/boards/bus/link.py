@@ -135,9 +135,6 @@ class MasterSession(Session):
         condition = self.master.channel.condition
         return True if condition is READY else False if condition is NO_SYNC else None
 
-    def silence(self) -> str:
-        return f'{self.master.channel.condition.summary}; SYNC is repeated'
-
     def shown(self, frame: Frame) -> Frame:
         call = self.master.channel.call
         if frame.cause or call is None:
