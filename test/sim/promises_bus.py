@@ -204,9 +204,10 @@ def readings_are_repeated(e: Evidence) -> Verdicts:
             closed = e.opening_of(times[0])[1]
             # It waits for its next turn for 0.8 s while the link is not in step. A function that
             # was announced goes with its announcement.
-            excused = e.story.announces or closed < called.ended + SLACK or called.ended > times[-1] + 0.79 or any(
-                times[0] <= each <= called.ended for each in halts) or overlaps(
-                    e.stalls[0], called.time, called.ended)
+            excused = e.story.announces or closed < called.ended + SLACK \
+                or called.ended > times[-1] + 0.79 \
+                or any(times[0] <= each <= called.ended for each in halts) \
+                or overlaps(e.stalls[0], called.time, called.ended)
             yield not excused, '' if excused or len(times) == 3 else \
                 f'level of {called.time:.3f} was sent at {times}, not known at {called.ended:.3f}'
 
@@ -340,7 +341,8 @@ def calls_are_not_given_up(e: Evidence) -> Verdicts:
         served = any(
             other is not called and each <= end - SLACK and min(
                 each + other.longest / 3, next((read for read in reads if read > each), end + 1.0),
-                other.ended or end) > max(end - 0.78, begin) for other in others for each in _sent(e, other))
+                other.ended or end) > max(end - 0.78, begin)
+            for other in others for each in _sent(e, other))
         excused = closed <= end + 0.02 or opened > begin or e.story.ended == end or overlaps(
             halts + e.stops + e.events('blocked', 'unplugged', 'cut') + [
                 (asked, until) for asked, until, _, _ in e.story.tasks], begin, end, 0.1) \

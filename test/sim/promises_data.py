@@ -54,6 +54,8 @@ def no_stale_value(e: Evidence) -> Verdicts:
     """No value that waited during a stall of over 0.5 s is published."""
     for begin, end in longer(e.stalls[0], 0.55):
         opened, closed = e.opening_of(begin)
+        if end < e.openings[0][0]:
+            continue
         for time, name, _values, _stamp in e.story.robot.published:
             if end - 1e-9 <= time < min(end + FRESH - SLACK, closed) and name in ALL_NAMES:
                 yield 1, f'{name} at {time:.3f}, after a stall until {end:.3f}'

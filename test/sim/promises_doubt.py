@@ -294,6 +294,8 @@ def a_silent_pty_is_doubted(e: Evidence) -> Verdicts:
         excused = end < due + 0.3 or overlaps(
             e.stalls[0], last, due + 0.3, 0.2) or any(
             time < due + 0.3 for time, _ in e.story.robot.calibrating)
+        # Another doubt begins the link anew, too.
+        excused |= any(last <= each <= due + 0.3 for each in device.restorations)
         flushes = [each for each in device.flushes if due - SLACK <= each < end - SLACK
                    and each not in device.restorations]
         if following > due:

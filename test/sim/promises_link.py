@@ -183,7 +183,9 @@ def unlike(packet: Any) -> str:
     if packet.type not in LAYOUTS:
         return 'unsure' if packet.type < 4 or packet.type > 250 else 'unknown type'
     if len(packet.data) != struct.calcsize(LAYOUTS[packet.type]):
-        return 'length' if packet.type != 0x10 else 'unknown type'
+        # A row that is announced may not be in use.
+        return 'unknown type' if packet.type == 0x10 else 'unsure' if packet.type == 32 \
+            else 'length'
     values = struct.unpack(LAYOUTS[packet.type], packet.data)
     return 'implausible' if packet.type in (7, 9, 10) and are_implausible(packet.type, values) \
         else 'valid'
@@ -212,7 +214,7 @@ def lost_frames_are_counted(e: Evidence) -> Verdicts:
         return
     # What waited during a stall is dropped by the bridge itself.
     end = min([begin for begin, _ in e.stalls[0] + e.events('noise', 'altered')] + [
-        drop for drop in e.story.device.drops       # so is what waits in a damaged frame
+        drop for drop in e.story.device.drops + [end for _, end in e.openings]  # so is what waits
         if any(drop - FRAME_TIMEOUT - 0.01 < frame.time <= drop for frame in e.read)
     ] + [float('inf')])
     for time, report, *_ in e.story.counted:
@@ -254,7 +256,7 @@ def stale_bytes_are_counted(e: Evidence) -> Verdicts:
 
 def conditions_are_true(e: Evidence) -> Verdicts:
     """`condition`: closed, lent, stopped, calibrating, silent or ok, as it is."""
-    story, robot = e.story, e.story.robot
+    story = e.story
     changes = [(asked, until) for asked, until, _, _ in story.tasks]
     for time, report in story.reports:
         name = report['condition']
