@@ -162,7 +162,7 @@ class Link:
         finally:
             now = self.now()
             self.writer.fresh.awake('link', now)
-        self.reopening.opened()
+        self.reopening.opened(now)
         self.receiver.reset()
         lending.closed.clear()
         self._look_at, self._settings_at = now, now + _LOOK_AT_SETTINGS

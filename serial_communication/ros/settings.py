@@ -69,7 +69,9 @@ class SettingsServer:
                 name = rospy.resolve_name(f'~{PARAMETER}/{link.name}/{row.name}')
                 raise ParameterError(f'parameter {RowError(name, value, str(error))}') from None
         self._link = link
-        self._settings: Any = link.session.board_settings
+        settings = link.session.board_settings
+        assert settings is not None, 'a link with settings'
+        self._settings = settings
         self._settings.wanted.update(values)
         self._set_values = dict(values)     # that the parameter server has
         self._name = f'~{PARAMETER}/{link.name}'
@@ -113,14 +115,14 @@ class SettingsServer:
         self._settings.wait(given, _ANSWER)
         shown = self._settings.shown()
         for name in given.keys() & shown.keys():
-            _row, value, wanted, is_settled = shown[name]
-            if not is_settled:
-                self._link.log.warn(f'set {name}', f'the setting {name} = {wanted} is not '
+            state = shown[name]
+            if not state.is_settled:
+                self._link.log.warn(f'set {name}', f'the setting {name} = {state.wanted} is not '
                                     'confirmed by the board yet; it is sent until it is')
-            elif wanted is not None and value != wanted:
-                self._link.log.warn(f'set {name}', f'the setting {name} cannot be {wanted}: '
-                                    f'the board uses {value}')
-                self._settings.want(name, value)
+            elif state.wanted is not None and state.value != state.wanted:
+                self._link.log.warn(f'set {name}', f'the setting {name} cannot be {state.wanted}: '
+                                    f'the board uses {state.value}')
+                self._settings.want(name, state.value)
         return ReconfigureResponse(_config(self._settings.shown()))
 
 
