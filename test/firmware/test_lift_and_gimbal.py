@@ -111,9 +111,6 @@ def test_stop_takes_the_place_of_the_moves_that_wait(bus):
     assert board.get('pan_steps') == 0
 
 
-FALSE_START = b'\x5a\x2c\x01'    # of a frame with 300 bytes of DATE
-
-
 def test_request_that_waited_behind_noise_is_not_called_invalid(bus):
     """INVALID says that nothing is executed: a Master that reads it sends the request again."""
     board = bus.board

@@ -342,19 +342,18 @@ def refusals_are_true(e: Evidence) -> Verdicts:
 def calibrations_end(e: Evidence) -> Verdicts:
     """A calibration ends with IMU data after a silence of 2 s, or after 5 s of data that goes on,
     its timeout, or a reset; and not later."""
-    robot, limit = e.story.robot, e.story.parameters['calibration_timeout']
+    limit = e.story.parameters['calibration_timeout']
     imu = [frame for frame in e.of_type(e.read, IMU)
            if len(frame.data) == 22 and not implausible(frame)]
     resets = [asked for asked, _, name, _ in e.story.tasks if name == 'reset']
     stalls = longer(merged(e.stalls[0]), 0.5)
-    starts = [time for time, on in robot.calibrating if on]
-    ends = [time for time, on in robot.calibrating if not on]
-    for start, end in zip(starts, [*ends, None]):
-        last = end or e.story.ended or e.story.world.time
+    for start, end in e.calibrations:
+        is_over = end < float('inf')
+        last = end if is_over else e.story.ended or e.story.world.time
         yield 1, '' if last <= start + limit + 0.2 or overlaps(
             e.stalls[0], start + limit, last, 0.2) else \
             f'the calibration of {start:.3f} goes on at {last:.3f}'
-        if end is None:
+        if not is_over:
             continue
         times = [start, *sorted({frame.time for frame in imu if start < frame.time <= end})]
         # Of those that may have been dropped after a stall either may count.
@@ -372,12 +371,9 @@ def calibrations_end(e: Evidence) -> Verdicts:
 def calibrations_end_in_time(e: Evidence) -> Verdicts:
     """The first IMU data after a silence of 2 s, or after 5 s of data that goes on, ends a
     calibration at once."""
-    robot = e.story.robot
     imu = [frame.time for frame in e.of_type(e.read, IMU)
            if len(frame.data) == 22 and not implausible(frame)]
-    ends = [time for time, on in robot.calibrating if not on]
-    for start in [time for time, on in robot.calibrating if on]:
-        end = min((each for each in ends if each >= start), default=float('inf'))
+    for start, end in e.calibrations:
         closed = e.opening_of(start)[1]
         last = start
         for time in (each for each in imu if each > start):

@@ -263,7 +263,6 @@ def test_a_double_click_moves_once(driver, robot):
 
 
 _REFUSED = bus.Reply(bus.ERROR, b'\2\x80')
-_WEIGHT = bus.Reply(bus.OK, bytes.fromhex('d204 0000 b841'))
 
 
 def test_invalid_calls_are_refused(driver, robot):
