@@ -81,6 +81,9 @@ class BoardClock:
         drift = MOST_DRIFT * elapsed
         has_jumped = late > drift + (MOST_JUMP if self._is_known else LEAST_JUMP) \
             or step < 0.0 and late > LEAST_JUMP or delay < -LEAST_JUMP
+        if self._points == 1 and step >= 0.0 and delay > MOST_BELOW + drift:
+            self._begin(ticks, arrival)     # the first one may be damaged: nothing confirms it
+            return None
         before, self._doubted = self._doubted, None
         if has_jumped or delay < -MOST_BELOW - drift:
             self._doubted = ticks, arrival

@@ -285,3 +285,14 @@ def test_old_points_are_forgotten():
     errors_of(clock, board, take(1600, usual(least=0.05)))
     errors = errors_of(clock, board, take(100, usual(least=0.05)))
     assert all(abs(error - 0.05) < 1e-3 for error in errors)
+
+
+@pytest.mark.parametrize('ahead', [0.01, 0.03, 0.3])
+def test_a_first_time_that_is_ahead_makes_no_other_time_early(ahead):
+    """Nothing confirms it: the second one takes its place."""
+    clock, board = BoardClock(), Board(drift=0.002)
+    for index in range(300):
+        true, ticks = board.measure()
+        at = clock.measured_at(ticks + (round(ahead * 1e6) if index == 0 else 0), true)
+        assert at is None or at == pytest.approx(true, abs=3e-4)
+    assert at is not None

@@ -414,7 +414,8 @@ def heartbeats_are_regular(e: Evidence) -> Verdicts:
     lent = [stall for stall in e.stalls[0] if e.story.device.kind == 'network' or overlaps(
         [(asked, asked) for asked, _, _, _ in e.story.tasks], *stall)]
     for index, beat in enumerate(beats[:-13]):
-        yield 1, '' if beats[index + 13] > beat + 0.1 else f'13 heartbeats from {beat:.3f} on'
+        if e.opening_of(beat) == e.opening_of(beats[index + 13]):
+            yield 1, '' if beats[index + 13] > beat + 0.1 else f'13 heartbeats from {beat:.3f} on'
     for opened, closed in e.openings:
         begin = opened
         while begin + 1.0 < closed:

@@ -397,7 +397,7 @@ def wanted_settings_return(e: Evidence) -> Verdicts:
 
 
 def damage_does_not_bend_the_line(e: Evidence) -> Verdicts:
-    """A damaged TIME makes no other stamp early, by more than 7 ms."""
+    """A damaged TIME makes no other stamp early, by more than 10 ms."""
     device = e.story.device
     if e.story.drift is None or not any(device.damage_received) or e.kind != 'arduino':
         return
@@ -412,5 +412,5 @@ def damage_does_not_bend_the_line(e: Evidence) -> Verdicts:
     for time, name, values, stamp in e.story.robot.published:
         at = undamaged.get(tuple(values)) if name == 'Imu' else None
         if at is not None:
-            yield 1, '' if stamp >= at - 0.007 else \
+            yield 1, '' if stamp >= at - 0.01 else \
                 f'Imu of {at:.4f} has the stamp {stamp:.4f}, published at {time:.4f}'
