@@ -59,7 +59,7 @@ class Evidence:
             [time for time, on in calibrating if on],
             [*(time for time, on in calibrating if not on), float('inf')]))
         self.suspended = list(story.world.suspensions)
-        self.stalls = [sorted(self.suspended + loop.stalls) for loop in story.robot.loops]
+        self.stalls = [merged(self.suspended + loop.stalls, 0.0) for loop in story.robot.loops]
 
     def events(self, *names: str) -> List[Interval]:
         """When these events were."""
