@@ -299,7 +299,8 @@ def a_silent_pty_is_doubted(e: Evidence) -> Verdicts:
         excused |= overlaps(blocked, due, due + 0.3, 0.5) or any(
             last <= each <= due + 0.3 for each in device.restorations)
         flushes = [each for each in device.flushes if due - SLACK <= each < end - SLACK
-                   and each not in device.restorations and not overlaps(blocked, each, each, 0.5)]
+                   and each not in device.restorations
+                   and not overlaps(blocked + e.stalls[0], each, each, 0.5)]
         if following > due:
             yield not excused, '' if excused or len(flushes) == 1 and flushes[0] <= due + 0.3 else \
                 f'silent from {last:.3f} to {end:.3f}, flushed at {flushes}'

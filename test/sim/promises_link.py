@@ -113,9 +113,10 @@ def damage_is_counted(e: Evidence) -> Verdicts:
     the protocol gives."""
     device, sent = e.story.device, {(each.type, each.number, each.data) for each in e.sent}
     # A stall, and the loss of a port, drop what is not counted yet. When noise that comes byte by
-    # byte is given up, depends on the reads.
+    # byte, or in which a frame seems to begin, is given up, depends on the reads.
     end = min([begin for begin, _ in e.stalls[0] + e.events('altered', 'unplugged', 'cut')]
-              + [each.begin for each in e.story.events if each.value == b'']
+              + [each.begin for each in e.story.events if each.name == 'noise' and (
+                  not each.value or e.kind != 'arduino' and set(each.value) & set(b'\xA5\x5A\x02'))]
               + device.closings + device.flushes
               + [asked for asked, *_ in e.story.tasks] + [float('inf')])
     counts, silent, stream = Counter(), 0.0, b''        # type: ignore[var-annotated]
