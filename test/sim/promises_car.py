@@ -355,7 +355,9 @@ def calibrations_end(e: Evidence) -> Verdicts:
             f'the calibration of {start:.3f} goes on at {last:.3f}'
         if not is_over:
             continue
-        times = [start, *sorted({frame.time for frame in imu if start < frame.time <= end})]
+        # The bridge may be suspended in the write of the calibration.
+        begun = min([start, *(low for low, high in e.suspended if abs(high - start) < 1e-6)])
+        times = [begun, *sorted({frame.time for frame in imu if start < frame.time <= end})]
         # Of those that may have been dropped after a stall either may count.
         sure = [each for each in times[:-1] if not overlaps(stalls, each, each, FRESH + 0.1)]
         stalled = sum(min(high, end) - low for low, high in stalls
