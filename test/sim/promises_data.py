@@ -1,5 +1,6 @@
 """What is promised of data, settings and ports."""
 import struct
+from math import isfinite
 from typing import Dict, List, Tuple
 
 from evidence import FRAME_TIMEOUT, At, Evidence, longer, overlaps
@@ -180,7 +181,8 @@ def settings_are_in_use(e: Evidence) -> Verdicts:
             seen: List[float] = []      # the last one that counts, and those that may
             for at, data, counts in reports:
                 if opened <= at <= time and data[:1] == bytes((number,)) \
-                        and len(data) == 1 + struct.calcsize(layout):
+                        and len(data) == 1 + struct.calcsize(layout) \
+                        and isfinite(struct.unpack(layout, data[1:])[0]):
                     # A damaged frame before it may keep it for 50 ms.
                     seen = [] if counts and at < time - 0.06 else seen
                     seen.append(struct.unpack(layout, data[1:])[0])
