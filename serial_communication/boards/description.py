@@ -68,6 +68,7 @@ class Description:
     other_names: Tuple[str, ...] = ()        # of other topics and services
     longest_gap: Optional[float] = None      # s without heartbeat; then the board stops its motor
     baud: int = 115200               # of the port, if its parameters have none: see `baud_of`
+    reset_line: str = ''             # `dtr` or `rts`, which resets the board; '': none does
     # Bytes that end a frame, are never inside one, and may also separate two frames.
     between: bytes = b''
     # s of silence after something was sent, after which a network port is closed and opened again,
@@ -94,15 +95,14 @@ class Description:
         """The name of a row's topic, service or parameter, likewise."""
         return next(group.prefix for group in self.groups if row.kind in group.kinds) + row.name
 
-    def read(self, parameter: str, given: Any) -> List[Any]:
-        """The rows in one of the parameters `groups`; RowError for the first mistake."""
-        group = next(each for each in self.groups if each.parameter == parameter)
-        return group.read(given, f'{self.name}/{parameter}')
+    def read(self, group: Group, given: Any) -> List[Any]:
+        """The rows in the parameter of a group; RowError for the first mistake."""
+        return group.read(given, f'{self.name}/{group.parameter}')
 
     def read_all(self, parameters: Mapping[str, Any]) -> List[Any]:
         """The rows in all parameters of the board; RowError for the first mistake."""
         return [row for group in self.groups
-                for row in self.read(group.parameter, parameters.get(group.parameter) or {})]
+                for row in self.read(group, parameters.get(group.parameter) or {})]
 
     def read_announced(self, name: str, given: Any) -> Any:
         """The row that the board announces by this name; RowError for a mistake."""
@@ -125,6 +125,6 @@ class Description:
         return given
 
     @property
-    def interface(self) -> Any:
-        """The board's class on the ROS side: see `ros.interface.Interface`."""
-        return importlib.import_module(self.package + '.ros').INTERFACE
+    def binder(self) -> Any:
+        """The board's class on the ROS side: a subclass of `ros.binder.Binder`."""
+        return importlib.import_module(self.package + '.ros').BINDER

@@ -6,23 +6,26 @@ master may take any time.
 """
 import threading
 from functools import partial
-from typing import Any, Callable, Dict, Iterable, List, Sequence, Tuple
+from typing import Any, Callable, Dict, Iterable, List, Sequence, Tuple, Type
 
 import rospy
 
 from ..boards.description import ANNOUNCED, Description
 from ..framing.announcement import read_announcement
 from ..framing.rows import FILE, Kind, RowError, Setting, refuse_second_number
+from ..link.link import Link
 from ..link.outcome import NOT_SENT, Outcome
+from ..link.session import Session
+from ..transport.port import Port
 from .answers import fill_response
-from .commands import CommandTopic
 from .background import LatestWorker
-from .publishing import PoseTopic
+from .commands import CommandTopic
+from .publishing import MessageTopic
 from .rows import ODOMETRY, RosRow, resolve, rows_in
 from .settings import SettingsServer, for_xml_rpc
 
 
-class ValuePublisher:
+class RowTopic(MessageTopic):
     """Publishes tuples of values as messages of one ROS type, while the topic has subscribers.
 
     A message is left out if one of its values is "no value" and its field cannot be NaN. The pose
@@ -30,55 +33,59 @@ class ValuePublisher:
     """
 
     def __init__(self, ros_row: RosRow, p: Dict[str, Any]) -> None:
-        row, ros_class = ros_row.row, ros_row.ros_class
+        row, self._fields = ros_row.row, ros_row.fields
         self._lock = threading.Lock()     # held while a message is published or the topic closed
-        self._fields = ros_row.fields
-        self._message = ros_row.fields.new()
-        self._has_header = ros_class._has_header
+        message = self._fields.new()
         if row.frame_id:
-            self._message.header.frame_id = p['frame_prefix'] + row.frame_id
+            message.header.frame_id = p['frame_prefix'] + row.frame_id
         if row.child_frame_id:
-            self._message.child_frame_id = p['frame_prefix'] + row.child_frame_id
-        self._has_pose = bool(row.child_frame_id) and p['publish_tf'] \
-            and ros_class._type == ODOMETRY
-        self._topic: Any = PoseTopic(
-            ros_row.name, ros_class, (self._message.header.frame_id, self._message.child_frame_id)
-            if self._has_pose else None)
+            message.child_frame_id = p['frame_prefix'] + row.child_frame_id
+        has_pose = row.child_frame_id and p['publish_tf'] and message._type == ODOMETRY
+        super().__init__(ros_row.name, message, *(
+            (message.pose.pose, message.child_frame_id) if has_pose else ()))
 
-    def publish(self, values: Sequence, stamp: rospy.Time) -> None:
+    def send(self, values: Sequence, stamp: rospy.Time) -> None:
         """Publish a message with these values; do nothing once it is closed."""
         with self._lock:
-            if self._topic is None or not self._topic.is_wanted or self._fields.lacks(values):
-                return
-            message = self._fields.fill(self._message, values)
-            if self._has_header:
-                message.header.stamp = stamp
-            self._topic.publish(message, stamp, message.pose.pose if self._has_pose else None)
+            if self.is_wanted and not self._fields.lacks(values):
+                self._fields.fill(self.message, values)
+                self.publish(stamp)
 
     def close(self) -> None:
         """Unregister the topic; may be called from any thread, at any time."""
         with self._lock:
-            topic, self._topic = self._topic, None
-        topic.close()
+            topics, self.topics = self.topics, []
+        for topic in topics:
+            topic.unregister()
 
 
 class Binder:
-    """The rows of one board, built in, of the parameters, and announced.
+    """One board in ROS: its link, and its rows: built in, of the parameters, and announced.
+
+    The module `ros` of a board has a subclass as `BINDER`, which adds its own parameters, what no
+    row describes, and the session. The node checks the parameters, creates the binder if the board
+    has a port, publishes its mounts, and starts its link.
 
     Args:
-        link: of the board; what its rows need of it depends on their kinds.
-        p: its checked parameters, those of `board_parameters` among them, publish_tf and
-            frame_prefix; command_age, s, if it takes commands.
+        p: the checked values of `parameters_of` this class, and those of the node. Frame ids have
+            the prefix already.
     """
 
-    def __init__(self, board: Description, link: Any, p: Dict[str, Any]) -> None:
-        self.link = link
-        self._board = board
+    BOARD: Description
+    # Besides those that every board has. For a sensor x, x_frame_id and x_mount are its mount.
+    PARAMETERS: Dict[str, Any] = {}
+    LINK: Type[Link] = Link
+
+    def __init__(self, session: Session, p: Dict[str, Any]) -> None:
+        port = Port(p['port'], p['baud'], p.get('reset_on_open', False))
+        self.link: Any = self.LINK(port, session, p['frame_timeout'], rospy.Time.now, _earlier,
+                                   p.get('board_time', True))
+        self.link.lending.reset_line = p['reset_line']
         self._p = p
         # Of the parameters and built in. They take precedence over announced ones.
-        self._fixed = [*(resolve(board, row) for row in board.rows), *rows_in(p)]
+        self._fixed = [*(resolve(self.BOARD, row) for row in self.BOARD.rows), *rows_in(p)]
         self._made: Dict[str, Tuple[RosRow, Callable[[], None]]] = {}    # and what takes it down
-        self._topics: Dict[Any, ValuePublisher] = {}     # by class of the message
+        self._topics: Dict[Any, RowTopic] = {}     # by class of the message
 
     def serve(self, worker: LatestWorker, names: Dict[str, str], values: Dict[str, Any]) -> None:
         """Make the rows of the start; those that the board announces follow in the worker's thread.
@@ -88,10 +95,10 @@ class Binder:
             values: of settings, that are wanted at the start.
 
         Raises:
-            ParameterError: a setting's value is not allowed.
+            RowError: a setting's value is not allowed.
         """
         self._names = names     # of announced rows, too
-        if any(Kind.SETTING in group.kinds for group in self._board.groups):
+        if self.link.session.board_settings:
             SettingsServer(self.link, [each.row for each in self._fixed
                                        if isinstance(each.row, Setting)], values, worker)
         self.sync(self._fixed)
@@ -102,7 +109,7 @@ class Binder:
         """Publish a message of the board; do nothing if its row was just taken down."""
         topic = self._topics.get(type(message))
         if topic:
-            topic.publish(message, stamp)
+            topic.send(message, stamp)
 
     def sync(self, rows: Iterable[RosRow]) -> None:
         """Have exactly these rows in ROS. Nobody notices it of one that is there already."""
@@ -138,16 +145,16 @@ class Binder:
         accepted: List[RosRow] = []
         for name in given:
             try:
-                row = self._board.read_announced(name, given[name])
+                row = self.BOARD.read_announced(name, given[name])
                 other = next((each.row for each in self._fixed if each.row.origin == FILE and (
-                    each.name == self._board.name_of(row) or
+                    each.name == self.BOARD.name_of(row) or
                     (each.row.number_key, each.row.number) == (row.number_key, row.number))), None)
                 if other is None:
                     refuse_second_number(row, [each.row for each in accepted])
-                    user = self._names.get(rospy.resolve_name(self._board.name_of(row)), row.key)
+                    user = self._names.get(rospy.resolve_name(self.BOARD.name_of(row)), row.key)
                     if user != row.key:
                         raise RowError(row.key, name, f'has the name of {user}')
-                    accepted.append(resolve(self._board, row))
+                    accepted.append(resolve(self.BOARD, row))
                 elif other != row:
                     said.append(f'the announced row {name} is left out: the parameter {other.key} '
                                 'differs, and takes precedence')
@@ -165,7 +172,7 @@ class Binder:
             return self._take_commands(ros_row)
         if row.kind is Kind.FUNCTION:
             return self._poll(ros_row) if row.period else self._offer(ros_row)
-        topic = self._topics[row.message] = ValuePublisher(ros_row, self._p)
+        topic = self._topics[row.message] = RowTopic(ros_row, self._p)
         link.session.decoder.add_message(row.message)
 
         def take_down() -> None:
@@ -191,10 +198,10 @@ class Binder:
 
     def _poll(self, ros_row: RosRow) -> Callable[[], None]:
         """Call a function with a period, and publish its replies."""
-        topic = ValuePublisher(ros_row, self._p)
+        topic = RowTopic(ros_row, self._p)
         stop = self.link.session.polls.add(
             ros_row.row, ros_row.row.period,
-            lambda outcome: topic.publish(_values(ros_row, outcome), outcome.stamp))
+            lambda outcome: topic.send(_values(ros_row, outcome), outcome.stamp))
 
         def take_down() -> None:
             stop()
@@ -230,6 +237,11 @@ class Binder:
             service.shutdown('the board announces it no longer')
 
         return take_down
+
+
+def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
+    """The time so many seconds before `stamp`; ROS has none before 0."""
+    return rospy.Time(0, max(stamp.to_nsec() - int(seconds * 1e9), 0))
 
 
 def _values(ros_row: RosRow, outcome: Outcome) -> Sequence:

@@ -19,6 +19,8 @@ from serial_communication.srv import Release
 
 from ..boards import BOARDS
 from ..boards.description import ANNOUNCED
+from ..framing.layout import readable
+from ..framing.rows import RowError
 from ..link.link import Link
 from ..link.outcome import Refused
 from ..link.writer import STALLED
@@ -28,7 +30,6 @@ from . import direct, logs, parameters
 from .background import LatestWorker
 from .master import (NAME_TAKEN, check_arguments, empty_ports, end_within, full_name, restart,
                      running_node, watch_master)
-from .parameter import ParameterError
 from .publishing import publish_mounts
 from .reports import Traffic, publish_diagnostics
 from .settings import PARAMETER as SETTINGS
@@ -83,8 +84,9 @@ def _run(name: str) -> int:
         if not rospy.core.is_shutdown_requested():
             raise
         return 0
-    except ParameterError as error:
-        rospy.logfatal(error)
+    except (RowError, parameters.NameTaken) as error:
+        is_name = isinstance(error, parameters.NameTaken)
+        rospy.logfatal('%s', error if is_name else f'parameter {rospy.get_name()}/{error}')
         # roslaunch, which names each node's log file, would start it again, with the same mistake.
         while any(each.startswith('__log:=') for each in sys.argv) and not rospy.is_shutdown():
             time.sleep(0.1)
@@ -95,13 +97,14 @@ def _run(name: str) -> int:
 
 def _start() -> None:
     given, is_stopped = _given()
-    values, warnings = parameters.check(given, rospy.get_name())
-    for board in values['boards']:      # what they announced in an earlier run
-        if given.get(board.NAME, {}).pop(ANNOUNCED, None) is not None:
-            rospy.delete_param(f'~{board.NAME}/{ANNOUNCED}')
-    for warning in warnings:
-        rospy.logwarn(warning)
-    bridge = Bridge(values, given, parameters.resolved_names(values, given), is_stopped)
+    for name, group in given.items():      # what the board announced in an earlier run
+        if isinstance(group, dict) and group.pop(ANNOUNCED, None) is not None:
+            rospy.delete_param(f'~{name}/{ANNOUNCED}')
+    node, boards, unknown = parameters.check(given)
+    for name in unknown:
+        rospy.logwarn('parameter %s/%s is unknown and has no effect', rospy.get_name(),
+                      readable(name))
+    bridge = Bridge(node, boards, given, is_stopped)
     rospy.on_shutdown(bridge.stop)
     if rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
         return
@@ -151,35 +154,34 @@ class Bridge:
     """All links that have a port, with their diagnostics, transforms and serial_msg.
 
     Args:
-        p: the checked parameters; `given` as they were given.
-        names: the resolved names of topics and services, and whose each is.
+        p: the checked parameters of the node; `boards`: for each board's binder its own;
+            `given`: all as they were given.
         is_stopped: whether ~stop holds from the start.
     """
 
-    def __init__(self, p: dict, given: dict, names: Dict[str, str], is_stopped: bool) -> None:
+    def __init__(self, p: Dict[str, Any], boards: Dict[Any, Dict[str, Any]],
+                 given: Dict[str, Any], is_stopped: bool) -> None:
         self._given = given
-        self._longest_call = p['bus/motion_timeout']
-        boards = [(board, parameters.of_board(board, p)) for board in p['boards']]
-        off = [board.NAME for board, values in boards if not values['port']]
+        names = parameters.resolved_names(boards)
+        off = [binder.BOARD.name for binder, values in boards.items() if not values['port']]
         if off:
             logs.LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
                             f'off, because no port is set: {", ".join(off)} (bridge.launch: if a '
                             'port is given as an argument, links without a port argument are off)')
-        boards = [(board, values) for board, values in boards if values['port']]
-        interfaces = [board(values) for board, values in boards]
-        for interface, (_, values) in zip(interfaces, boards):
-            interface.link.lending.reset_line = values['reset_line']
-        self._links = sorted((interface.link for interface in interfaces),
+        boards = {binder: values for binder, values in boards.items() if values['port']}
+        binders = [binder(values) for binder, values in boards.items()]
+        self._links = sorted((binder.link for binder in binders),
                              key=lambda link: not link.session.STOPS_FIRST)
+        self._longest_call = max((values.get('motion_timeout', 0.0) for values in boards.values()),
+                                 default=0.0)
         publish_mounts(p['base_frame_id'], {
-            values[f'{name}_frame_id']: values[f'{name}_mount']
-            for board, values in boards for name in board.MOUNTS})
+            values[name.replace('_mount', '_frame_id')]: values[name]
+            for values in boards.values() for name in values if name.endswith('_mount')})
         self._hold(is_stopped)
         Traffic(self._links)
         worker = LatestWorker('rows')
-        for interface in interfaces:
-            if interface.binder:
-                interface.binder.serve(worker, names, p[SETTINGS].get(interface.NAME, {}))
+        for binder in binders:
+            binder.serve(worker, names, p[SETTINGS].get(binder.BOARD.name, {}))
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""

@@ -4,13 +4,12 @@ These are resolved while the parameters are checked. So a mistake in a row ends 
 has registered anything or opened a port.
 """
 from dataclasses import replace
-from functools import partial
 from typing import Any, Dict, List, NamedTuple
 
 from ..boards.description import Description
+from ..framing.row_reader import Group
 from ..framing.rows import Kind, Row, RowError
 from .fields import RosFields, find_type
-from .parameter import PORT, Parameter, Parameters, baud
 
 ODOMETRY = 'nav_msgs/Odometry'
 
@@ -30,17 +29,9 @@ class RosRow(NamedTuple):
         return row.make_request(self.request.read(self.ros_class._request_class()))
 
 
-def board_parameters(board: Description, announcements: bool = True) -> Parameters:
-    """The parameters with a board's port and rows, and the one that says whether it may announce
-    some, whose default is given."""
-    return {'port': PORT, 'baud': baud(board), 'announcements': Parameter(announcements), **{
-        group.parameter: Parameter({}, parse=partial(read_rows, board, group.parameter))
-        for group in board.groups}}
-
-
-def read_rows(board: Description, parameter: str, given: Any) -> List[RosRow]:
-    """The rows in one of a board's parameters; RowError for the first mistake."""
-    return [resolve(board, row) for row in board.read(parameter, given)]
+def read_rows(board: Description, group: Group, given: Any) -> List[RosRow]:
+    """The rows in the parameter of a board's group; RowError for the first mistake."""
+    return [resolve(board, row) for row in board.read(group, given)]
 
 
 def rows_in(parameters: Dict[str, Any]) -> List[RosRow]:

@@ -17,7 +17,6 @@ from ..framing.rows import RowError, Setting
 from ..link.link import Link
 from ..link.settings import State
 from .background import LatestWorker
-from .parameter import ParameterError
 from .publishing import publisher
 
 PARAMETER = 'settings'     # of the node: values by link and name
@@ -34,18 +33,8 @@ def for_xml_rpc(value: Any) -> Any:
     return float(value) if type(value) is int and not -_XML_RPC <= value < _XML_RPC else value
 
 
-def start_values(given: Any) -> Dict[str, Dict[str, Any]]:
-    """Return the parameter `settings`; ValueError if it is not values by link and name."""
-    if type(given) is not dict or not all(
-            type(values) is dict and all(type(value) in (bool, int, float)
-                                         for value in values.values())
-            for values in given.values()):
-        raise ValueError('may be values by link and name, as {arduino: {kp: 2.0}}')
-    return given
-
-
 def wanted_values(links: Iterable[Link]) -> Dict[str, Dict[str, Any]]:
-    """Return the values that are wanted now, as `start_values`."""
+    """Return the values that are wanted now, by link and name."""
     return {link.name: for_xml_rpc(dict(link.session.board_settings.wanted)) for link in links
             if link.session.board_settings and link.session.board_settings.wanted}
 
@@ -55,8 +44,8 @@ class SettingsServer:
 
     Args:
         rows: that are there at the start.
-        values: that are wanted at the start, and that the parameter server has, by name;
-            ParameterError for one that its row does not allow.
+        values: that are wanted at the start, and that the parameter server has, by name; RowError
+            for one that its row does not allow.
     """
 
     def __init__(self, link: Link, rows: Iterable[Setting], values: Dict[str, Any],
@@ -66,8 +55,7 @@ class SettingsServer:
             try:
                 row.checked(value)
             except ValueError as error:
-                name = rospy.resolve_name(f'~{PARAMETER}/{link.name}/{row.name}')
-                raise ParameterError(f'parameter {RowError(name, value, str(error))}') from None
+                raise RowError(f'{PARAMETER}/{link.name}/{row.name}', value, str(error)) from None
         self._link = link
         settings = link.session.board_settings
         assert settings is not None, 'a link with settings'

@@ -14,23 +14,22 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
 from ...link.outcome import Outcome
 from ...ros.answers import fill_response
 from ...ros.binder import Binder
-from ...ros.interface import Interface, link_arguments
 from ...ros.logs import sparing_log
-from ...ros.parameter import Parameter, seconds
+from ...ros.parameters import Parameter, seconds
 from ...ros.publishing import publisher
-from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
 from .link import BusLink, MasterOptions, MasterSession
 
 _DEFAULTS = MasterOptions()
 
 
-class BusInterface(Interface):
+class BusBinder(Binder):
     """Offers services and publishes readings."""
 
-    NAME = DESCRIPTION.name
+    BOARD = DESCRIPTION
+    LINK = BusLink
     PARAMETERS = {
-        **board_parameters(DESCRIPTION, _DEFAULTS.announcements),
+        'announcements': Parameter(_DEFAULTS.announcements),
         'reply_timeout': seconds(_DEFAULTS.reply_timeout, 0.01, 60.0),
         'motion_timeout': seconds(_DEFAULTS.motion_timeout, 0.01, 600.0),
         'retries': Parameter(_DEFAULTS.retries, 0, 100),
@@ -39,16 +38,14 @@ class BusInterface(Interface):
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'echo': Parameter(_DEFAULTS.echo),
     }
-    link: BusLink
 
     def __init__(self, p: Dict[str, Any]) -> None:
-        session = MasterSession(sparing_log(self.NAME), MasterOptions(
+        session = MasterSession(sparing_log(DESCRIPTION.name), MasterOptions(
             **{name: p[name] for name in MasterOptions._fields}))
         if p['environment_period']:
             session.polls.add(wire.ENVIRONMENT_FUNCTION, p['environment_period'],
                               self._publish_environment)
-        self.link = BusLink(session=session, **link_arguments(p))
-        self.binder = Binder(DESCRIPTION, self.link, p)
+        super().__init__(session, p)
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
@@ -100,4 +97,4 @@ class BusInterface(Interface):
         return Environment(header, *wire.Environment.unpack(outcome.data))
 
 
-INTERFACE = BusInterface
+BINDER = BusBinder

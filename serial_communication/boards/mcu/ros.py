@@ -10,27 +10,23 @@ from serial_communication.msg import McuStatus, McuStatus2
 
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
-from ...link.link import Link
+from ...framing.rows import RowError
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
-from ...ros.interface import Interface, link_arguments
 from ...ros.logs import sparing_log
-from ...ros.parameter import MOUNT, RESET_LINE, Parameter, ParameterError, frame_id, seconds
+from ...ros.parameters import MOUNT, Parameter, frame_id, seconds
 from ...ros.publishing import publisher, wanted
-from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
 from .session import SensorSession
 
 _NOT_CONNECTED = 0xFFFF   # in place of a reading; no sensor measures it
 
 
-class McuInterface(Interface):
+class McuBinder(Binder):
     """Publishes measurements, and the status of a silent board."""
 
-    NAME = DESCRIPTION.name
+    BOARD = DESCRIPTION
     PARAMETERS = {
-        **board_parameters(DESCRIPTION),
-        'reset_line': RESET_LINE._replace(default='rts'),
         'timeout': seconds(1.0, 0.01, 3600.0),
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
@@ -48,14 +44,11 @@ class McuInterface(Interface):
         'range_1_mount': MOUNT,
         'range_2_mount': MOUNT,
     }
-    MOUNTS = ('imu', 'range_1', 'range_2')
-    binder: Binder
 
     def __init__(self, p: Dict[str, Any]) -> None:
         if p['min_range'] >= p['max_range']:
-            raise ParameterError(f'parameter {rospy.resolve_name("~mcu/min_range")} is '
-                                 f'{p["min_range"]:g} m, has to be less than mcu/max_range, which '
-                                 f'is {p["max_range"]:g} m')
+            raise RowError('mcu/min_range', p['min_range'], 'has to be less than mcu/max_range, '
+                           f'which is {p["max_range"]:g} m')
         self._turn = -1.0 if p['yaw_clockwise'] else 1.0
         self._ranges = [(publisher(f'mcu/{name}', Range), Range(
             Header(frame_id=p[f'{name}_frame_id']), Range.INFRARED, p['field_of_view'],
@@ -64,14 +57,13 @@ class McuInterface(Interface):
         self._adc_status = publisher('mcu/adc_status', McuStatus)
         self._imu = ImuTopic('mcu/imu', p)
         self._session = SensorSession(
-            sparing_log(self.NAME), p['timeout'], on_status=self._received,
+            sparing_log(DESCRIPTION.name), p['timeout'], on_status=self._received,
             on_silence=self._silent, network_silence=p['network_silence'])
-        self.link = Link(session=self._session, **link_arguments(p))
-        self.binder = Binder(DESCRIPTION, self.link, p)
+        super().__init__(self._session, p)
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
         if message.TYPE not in wire.MESSAGES:
-            self.binder.publish(message, stamp)
+            self.publish(message, stamp)
             return
         now = self.link.now()
         is_adc = type(message) is wire.AdcStatus
@@ -107,4 +99,4 @@ def _metres(millimetres: int, low: float, high: float) -> float:
     return -inf if metres < low else inf if metres > high else metres
 
 
-INTERFACE = McuInterface
+BINDER = McuBinder
