@@ -6,7 +6,7 @@ The modules with the link, ROS and the simulator are imported when they are used
 import importlib
 import math
 from dataclasses import dataclass
-from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ..framing.row_reader import Group
 from ..framing.rows import BOARD, Kind, Row, RowError
@@ -85,11 +85,10 @@ class Description:
             for row in self.rows if row.kind is Kind.FROM)]
 
     @property
-    def names(self) -> List[str]:
+    def names(self) -> Set[str]:
         """The names of its topics and services, relative to the node."""
-        of_rows = [self.name_of(row) for row in self.rows]
-        return [*(topic.name for topic in self.topics), *of_rows, *self.other_names,
-                *(service.name for service in self.services if service.name not in of_rows)]
+        return {*(topic.name for topic in self.topics), *map(self.name_of, self.rows),
+                *(service.name for service in self.services), *self.other_names}
 
     def name_of(self, row: Row) -> str:
         """The name of a row's topic, service or parameter, likewise."""
@@ -127,4 +126,4 @@ class Description:
     @property
     def binder(self) -> Any:
         """The board's class on the ROS side: a subclass of `ros.binder.Binder`."""
-        return importlib.import_module(self.package + '.ros').BINDER
+        return importlib.import_module(self.package + '.ros').BoardBinder

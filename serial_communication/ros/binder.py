@@ -17,9 +17,9 @@ from ..link.link import Link
 from ..link.outcome import NOT_SENT, Outcome
 from ..link.session import Session
 from ..transport.port import Port
-from .answers import fill_response
 from .background import LatestWorker
 from .commands import CommandTopic
+from .fields import fill_response
 from .publishing import MessageTopic
 from .rows import ODOMETRY, RosRow, resolve, rows_in
 from .settings import SettingsServer, for_xml_rpc
@@ -62,7 +62,7 @@ class RowTopic(MessageTopic):
 class Binder:
     """One board in ROS: its link, and its rows: built in, of the parameters, and announced.
 
-    The module `ros` of a board has a subclass as `BINDER`, which adds its own parameters, what no
+    The module `ros` of a board has a subclass `BoardBinder`, which adds its own parameters, what no
     row describes, and the session. The node checks the parameters, creates the binder if the board
     has a port, publishes its mounts, and starts its link.
 

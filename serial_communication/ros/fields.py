@@ -10,11 +10,13 @@ from io import BytesIO
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import roslib.message
+import rospy
 from genpy import SerializationError
 
 from ..framing.layout import BOARD_TIME, FINITE, FRACTIONS, NO_VALUE, Layout, Value
 from ..framing.rotation import angles, quaternion
 from ..framing.rows import RowError
+from ..link.outcome import Outcome
 
 _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
           'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
@@ -22,6 +24,9 @@ _CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int
 _MOST_ELEMENTS = 1000     # of an array whose elements are named singly, such as position[2]
 _QUATERNION = 'geometry_msgs/Quaternion'
 _ANGLES = 'roll', 'pitch', 'yaw'     # further fields of a quaternion, in radians
+# Of the fields of a response that an outcome fills, where it has them.
+_OUTCOME_TYPES = {'success': ('bool',), 'status': ('uint8', 'uint16', 'uint32', 'int16', 'int32'),
+                  'error_code': ('uint16', 'uint32', 'int32'), 'message': ('string',)}
 _STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
 
 
@@ -231,3 +236,20 @@ def _walk(message: Any, steps: Sequence) -> Any:
     for step in steps:
         message = message[step] if isinstance(step, int) else getattr(message, step)
     return message
+
+
+def outcome_fields(response_class: Any) -> List[str]:
+    """Return the names of the fields of a response that an outcome fills."""
+    types = dict(zip(response_class.__slots__, response_class._slot_types))
+    return [name for name, fitting in _OUTCOME_TYPES.items() if types.get(name) in fitting]
+
+
+def fill_response(response: Any, outcome: Outcome) -> Any:
+    """Write an outcome into a response, and return the response; rospy.ServiceException if the call
+    failed and the response has no field `success`."""
+    names = outcome_fields(type(response))
+    if not outcome.success and 'success' not in names:
+        raise rospy.ServiceException(outcome.message)
+    for name in names:
+        setattr(response, name, getattr(outcome, name))
+    return response

@@ -171,7 +171,7 @@ class Bridge:
         boards = {binder: values for binder, values in boards.items() if values['port']}
         binders = [binder(values) for binder, values in boards.items()]
         self._links = sorted((binder.link for binder in binders),
-                             key=lambda link: not link.session.STOPS_FIRST)
+                             key=lambda link: not link.session.BEATS)
         self._longest_call = max((values.get('motion_timeout', 0.0) for values in boards.values()),
                                  default=0.0)
         publish_mounts(p['base_frame_id'], {
@@ -190,8 +190,8 @@ class Bridge:
         set_priority_of_all(_PRIORITY)
         for link in self._links:
             link.start()
+        publish_diagnostics(self._links)
         for link in self._links:
-            publish_diagnostics(link)
             _offer(link, 'release', Release, _release)
             _offer(link, 'reset', Trigger, lambda link, _request: link.lending.reset())
         rospy.Service('~stop', SetBool, self._stop_all)

@@ -180,7 +180,7 @@ def resolved_names(boards: Dict[Any, Dict[str, Any]]) -> Dict[str, str]:
     one, by a remapping or because of the node's own name; rospy would mix them in silence."""
     names = {rospy.resolve_name(name): name for name in _COMMON}
     for binder, values in boards.items():
-        named = [*((name, name) for name in binder.BOARD.names),
+        named = [*((name, name) for name in sorted(binder.BOARD.names)),
                  *((each.name, each.row.key) for each in rows_in(values))]
         for name, user in named if values['port'] else ():
             full = rospy.resolve_name(name)

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Any, Dict, Iterable, Mapping
 
 import rospy
-from dynamic_reconfigure.encoding import encode_config
+from dynamic_reconfigure.encoding import decode_config, encode_config
 from dynamic_reconfigure.msg import (Config, ConfigDescription, Group, GroupState,
                                      ParamDescription)
 from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
@@ -96,21 +96,22 @@ class SettingsServer:
     def _set(self, request: Any) -> Any:
         """Want the values of a request; return those that the board uses then."""
         shown = self._settings.shown()
-        given = {name: value for name, value in _values(request.config).items() if name in shown}
+        given = {name: value for name, value in decode_config(request.config).items()
+                 if name in shown and type(value) is not str}
         for name, value in given.items():
             row = shown[name].row
             self._settings.want(name, min(max(value, row.minimum), row.maximum))
         self._settings.wait(given, _ANSWER)
         shown = self._settings.shown()
         for name in given.keys() & shown.keys():
-            state = shown[name]
+            state, why = shown[name], ''
             if not state.is_settled:
-                self._link.log.warn(f'set {name}', f'the setting {name} = {state.wanted} is not '
-                                    'confirmed by the board yet; it is sent until it is')
+                why = f'= {state.wanted} is not confirmed by the board yet; it is sent until it is'
             elif state.wanted is not None and state.value != state.wanted:
-                self._link.log.warn(f'set {name}', f'the setting {name} cannot be {state.wanted}: '
-                                    f'the board uses {state.value}')
+                why = f'cannot be {state.wanted}: the board uses {state.value}'
                 self._settings.want(name, state.value)
+            if why:
+                self._link.log.warn(f'set {name}', f'the setting {name} {why}')
         return ReconfigureResponse(_config(self._settings.shown()))
 
 
@@ -127,15 +128,6 @@ def _config(shown: Mapping[str, State]) -> Config:
 def request_of(row: Setting, value: Any) -> Any:
     """Return the request that sets one setting; ValueError for a value that is not allowed."""
     return ReconfigureRequest(encode_config({row.name: _type(row)(row.checked(value))}))
-
-
-def value_in(response: Any, row: Setting) -> Any:
-    """Return the value of a setting in a response; None if it is not there."""
-    return _values(response.config).get(row.name)
-
-
-def _values(config: Any) -> Dict[str, Any]:
-    return {each.name: each.value for each in (*config.bools, *config.ints, *config.doubles)}
 
 
 def _type(row: Setting) -> type:

@@ -119,7 +119,7 @@ from serial_communication.ros.binder import Binder
 from . import DESCRIPTION
 
 
-class BINDER(Binder):
+class BoardBinder(Binder):
     BOARD = DESCRIPTION
 """
     NUMBERS = itertools.count()

@@ -20,7 +20,7 @@ _DEFAULTS = CarOptions()
 _LOG_FUNCTIONS = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)    # by severity
 
 
-class ArduinoBinder(Binder):
+class BoardBinder(Binder):
     """Publishes the measurements that no row describes, and calibrates."""
 
     BOARD = DESCRIPTION
@@ -76,6 +76,3 @@ class ArduinoBinder(Binder):
                            message.linear_acceleration())
         if wanted(self._temperature):
             self._temperature.publish(Header(0, stamp, self._frame_id), message.temperature(), 0.0)
-
-
-BINDER = ArduinoBinder

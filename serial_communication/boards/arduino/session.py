@@ -52,7 +52,6 @@ class CarSession(Session):
     """
 
     NAME = DESCRIPTION.name
-    STOPS_FIRST = True
     board_settings: BoardSettings
     BEATS = True
 

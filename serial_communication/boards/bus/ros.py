@@ -12,7 +12,7 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
                                       GetEnvironmentResponse)
 
 from ...link.outcome import Outcome
-from ...ros.answers import fill_response
+from ...ros.fields import fill_response
 from ...ros.binder import Binder
 from ...ros.logs import sparing_log
 from ...ros.parameters import Parameter, seconds
@@ -23,7 +23,7 @@ from .link import BusLink, MasterOptions, MasterSession
 _DEFAULTS = MasterOptions()
 
 
-class BusBinder(Binder):
+class BoardBinder(Binder):
     """Offers services and publishes readings."""
 
     BOARD = DESCRIPTION
@@ -51,8 +51,10 @@ class BusBinder(Binder):
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
         self._frame_id = p['base_frame_id']
         rospy.Service('~get_environment', GetEnvironment, self._get_environment)
-        rospy.Service('~bus/echo', Trigger, self._echo)
-        rospy.Service('~bus/sync', Trigger, self._sync)
+        rospy.Service('~bus/echo', Trigger, lambda _request: self._trigger(
+            wire.echo(os.urandom(4)), wire.ECHO_FUNCTION))
+        rospy.Service('~bus/sync', Trigger, lambda _request: self._trigger(
+            wire.SYNC_REQUEST, wire.SYNC_FUNCTION))
         rospy.Service('~bus/request', BusRequest, self._request)
 
     def _get_environment(self, _request: Any) -> GetEnvironmentResponse:
@@ -71,19 +73,11 @@ class BusBinder(Binder):
         response.data = outcome.data
         return response
 
-    def _echo(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.request(wire.echo(os.urandom(4)), wire.ECHO_FUNCTION)
-        return self._trigger(outcome, f'{outcome.round_trip * 1e3:.2f} ms')
-
-    def _sync(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.request(wire.SYNC_REQUEST, wire.SYNC_FUNCTION)
-        return self._trigger(outcome, 'synchronised')
-
-    @staticmethod
-    def _trigger(outcome: Outcome, done: str) -> TriggerResponse:
+    def _trigger(self, request: wire.Request, function: wire.Function) -> TriggerResponse:
+        outcome = self.link.request(request, function)
         response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
-            response.message = done
+            response.message = f'{outcome.round_trip * 1e3:.2f} ms'
         return response
 
     def _publish_environment(self, outcome: Outcome) -> None:
@@ -95,6 +89,3 @@ class BusBinder(Binder):
     def _message(self, outcome: Outcome) -> Environment:
         header = Header(0, outcome.stamp, self._frame_id)
         return Environment(header, *wire.Environment.unpack(outcome.data))
-
-
-BINDER = BusBinder

@@ -22,7 +22,7 @@ from .session import SensorSession
 _NOT_CONNECTED = 0xFFFF   # in place of a reading; no sensor measures it
 
 
-class McuBinder(Binder):
+class BoardBinder(Binder):
     """Publishes measurements, and the status of a silent board."""
 
     BOARD = DESCRIPTION
@@ -97,6 +97,3 @@ def _metres(millimetres: int, low: float, high: float) -> float:
         return nan
     metres = millimetres / 1000
     return -inf if metres < low else inf if metres > high else metres
-
-
-BINDER = McuBinder
