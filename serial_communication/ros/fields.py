@@ -18,12 +18,14 @@ from ..framing.rotation import angles, quaternion
 from ..framing.rows import RowError
 from ..link.outcome import Outcome
 
-_CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
-          'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
-          'float32': 'f', 'float64': 'd'}      # struct's codes
+_ANGLE = 'angle'     # the type of a further field of a quaternion, in radians
+_ANGLES = 'roll', 'pitch', 'yaw'
+# Struct's codes of the types of numbers.
+_CODES = {'bool': FINITE, _ANGLE: FINITE, 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B',
+          'int16': 'h', 'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
+          'float32': 'f', 'float64': 'd'}
 _MOST_ELEMENTS = 1000     # of an array whose elements are named singly, such as position[2]
 _QUATERNION = 'geometry_msgs/Quaternion'
-_ANGLES = 'roll', 'pitch', 'yaw'     # further fields of a quaternion, in radians
 # Of the fields of a response that an outcome fills, where it has them.
 _OUTCOME_TYPES = {'success': ('bool',), 'status': ('uint8', 'uint16', 'uint32', 'int16', 'int32'),
                   'error_code': ('uint16', 'uint32', 'int32'), 'message': ('string',)}
@@ -60,13 +62,12 @@ class _Place(NamedTuple):
     last: Union[str, int]                  # its field name or index there
     type: str                              # of ROS
     array: str                             # '[3]', '[]', or '' if it is none
-    is_angle: bool                         # of a quaternion, which has no such field
     to_ros: Optional[Callable[[Any], Any]] = None     # converts the value
 
     @property
     def code(self) -> str:
         """Struct's code of its number, or `FINITE`; '' for a text."""
-        return FINITE if self.is_angle or self.type == 'bool' else _CODES.get(self.type, '')
+        return _CODES.get(self.type, '')
 
     def whole(self, given: Any) -> Any:
         """A constant for it; of a list that is the diagonal of a matrix, the matrix."""
@@ -124,13 +125,13 @@ class RosFields:
         # By the path to a quaternion: the indices of the values that are its angles.
         self._angles: Dict[Tuple, Dict[Union[str, int], int]] = {}
         for index, place in enumerate(self._places):
-            if place and place.is_angle:
+            if place and place.type == _ANGLE:
                 self._angles.setdefault(place.owner, {})[place.last] = index
         # The values that may be "no value", in fields that cannot be NaN.
         self.without_nan = [
             index for index, (value, place) in enumerate(zip(layout.values, self._places))
             if place and value.invalid is not None
-            and place.code not in FRACTIONS and not place.is_angle]
+            and place.code not in FRACTIONS and place.type != _ANGLE]
         # The layout; there, a value that its field cannot hold is implausible.
         self.layout = Layout(layout.layout, layout.values,
                              ['' if place is None else place.code for place in self._places])
@@ -155,7 +156,7 @@ class RosFields:
     def fill(self, message: Any, values: Sequence) -> Any:
         """Write the values into a message from `new`, and return it."""
         for place, value in zip(self._places, values):
-            if place and not place.is_angle:
+            if place and place.type != _ANGLE:
                 place.put(message, place.to_ros(value) if place.to_ros else value)
         for owner, indices in self._angles.items():
             turn = _walk(message, owner)
@@ -177,7 +178,7 @@ class RosFields:
             try:
                 owner = _walk(message, place.owner)
                 value = angles(owner.x, owner.y, owner.z, owner.w)[_ANGLES.index(place.last)] \
-                    if place.is_angle else _walk(owner, (place.last,))
+                    if place.type == _ANGLE else _walk(owner, (place.last,))
             except IndexError:
                 raise ValueError(f'{place.owner[-1]} has no element {place.last}') from None
             values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
@@ -203,17 +204,16 @@ class RosFields:
 
     def _follow(self, key: str, path: str) -> _Place:
         """Return the place at a path; RowError if there is none."""
-        message_class, type_, array, is_angle = self._class, '', '', False
+        message_class, type_, array = self._class, '', ''
         steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
             fields = dict(zip(message_class.__slots__, message_class._slot_types)) \
                 if message_class else {}
             if fields and message_class._type == _QUATERNION:
-                fields.update(dict.fromkeys(_ANGLES, 'float64'))
+                fields.update(dict.fromkeys(_ANGLES, _ANGLE))
             if name not in fields:
                 raise RowError(key, path, f'has no field {name} there, but '
                                f'{", ".join(fields) or f"a single {type_}"}')
-            is_angle = name not in message_class.__slots__
             type_, bracket, size = fields[name].partition('[')
             array = bracket + size
             message_class = None if type_ in _CODES or type_ in ('string', 'time', 'duration') \
@@ -229,7 +229,7 @@ class RosFields:
                                      or {'string': str, 'bool': bool}.get(type_, int)))
                 steps += (int(element),)
                 array = ''
-        return _Place(steps[:-1], steps[-1], type_, array, is_angle)
+        return _Place(steps[:-1], steps[-1], type_, array)
 
 
 def _walk(message: Any, steps: Sequence) -> Any:

@@ -82,13 +82,15 @@ def seconds(default: float, low: float, high: float) -> Parameter:
 
 def frame_id(default: str) -> Parameter:
     """Return a parameter that is a frame id; its name has to end in ``frame_id``."""
-    return Parameter(default, parse=_not_empty)
+    return Parameter(default, parse=_only_if(bool))
 
 
-def _not_empty(text: str) -> str:
-    if not text:
-        raise ValueError
-    return text
+def _only_if(is_right: Callable[[Any], bool]) -> Callable[[Any], Any]:
+    def parse(value: Any) -> Any:
+        if not is_right(value):
+            raise ValueError
+        return value
+    return parse
 
 
 def _port(url: str) -> str:
@@ -97,26 +99,16 @@ def _port(url: str) -> str:
     return url
 
 
-def _texts(given: Any) -> List[str]:
-    if type(given) is list and all(type(each) is str for each in given):
-        return given
-    raise ValueError
-
-
-def _values_by_link(given: Any) -> Dict[str, Dict[str, Any]]:
-    if type(given) is dict and all(type(values) is dict for values in given.values()):
-        return given
-    raise ValueError('may be values by link and name, as {arduino: {kp: 2.0}}')
-
-
 MOUNT = Parameter([0.0] * 6, unit='x y z in m, roll pitch yaw in rad, in base_frame_id')
 NODE_PARAMETERS: Parameters = {
-    'boards': Parameter([], unit='names of Python packages with a board', parse=_texts),
+    'boards': Parameter([], unit='names of Python packages with a board', parse=_only_if(
+        lambda given: type(given) is list and all(type(each) is str for each in given))),
     'frame_timeout': seconds(0.05, 0.001, 10.0),
     'publish_tf': Parameter(False),
     'base_frame_id': frame_id('base_link'),
     'frame_prefix': Parameter(''),
-    'settings': Parameter({}, parse=_values_by_link),
+    'settings': Parameter({}, unit='values by link and name: {arduino: {kp: 2.0}}', parse=_only_if(
+        lambda given: type(given) is dict and all(type(each) is dict for each in given.values()))),
 }
 
 
