@@ -6,6 +6,7 @@ import os
 import re
 import sys
 from contextlib import suppress
+from copy import deepcopy
 from io import BytesIO
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
@@ -105,9 +106,7 @@ class RosFields:
 
     def __init__(self, message_class: Any, layout: Layout, key: str,
                  constants: Optional[Dict[str, Any]] = None, constants_key: str = '') -> None:
-        self._class = message_class
-        self._arrays: List[Tuple[Tuple, int, Any]] = []    # path, length and element in a message
-        self._constants: List[Tuple[_Place, Any]] = []
+        self._message = message_class()     # with the constants, and arrays long enough
         if any(value.name == BOARD_TIME for value in layout.values) \
                 and not message_class._has_header:
             raise RowError(key, BOARD_TIME, f'needs a type with a header, {message_class._type} '
@@ -116,9 +115,9 @@ class RosFields:
                         for value in layout.values]
         for path, given in (constants or {}).items():
             constant = self._follow(constants_key, path)
-            self._constants.append((constant, constant.whole(given)))
             try:
-                self.new().serialize(BytesIO())
+                constant.put(self._message, constant.whole(given))
+                self._message.serialize(BytesIO())
             except (SerializationError, AttributeError, OverflowError, ValueError) as error:
                 raise RowError(f'{constants_key}/{path}', given,
                                f'cannot be there: {error}') from None
@@ -138,15 +137,7 @@ class RosFields:
 
     def new(self) -> Any:
         """Return a message that has the constants, and arrays long enough for all values."""
-        message = self._class()
-        for steps, size, element in self._arrays:
-            owner = _walk(message, steps[:-1])
-            items = list(getattr(owner, steps[-1]))
-            items += [element() for _ in range(size - len(items))]
-            setattr(owner, steps[-1], items)
-        for place, value in self._constants:
-            place.put(message, list(value) if isinstance(value, list) else value)
-        return message
+        return deepcopy(self._message)
 
     def lacks(self, values: Sequence) -> bool:
         """Return whether one of the values is "no value" and its field cannot be NaN."""
@@ -203,8 +194,10 @@ class RosFields:
         return place._replace(to_ros=convert)
 
     def _follow(self, key: str, path: str) -> _Place:
-        """Return the place at a path; RowError if there is none."""
-        message_class, type_, array = self._class, '', ''
+        """Return the place at a path, which is in the message from now on; RowError if there can be
+        none."""
+        message_class: Any = type(self._message)
+        type_ = array = ''
         steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
             fields = dict(zip(message_class.__slots__, message_class._slot_types)) \
@@ -225,8 +218,11 @@ class RosFields:
                 if int(element) >= most:
                     raise RowError(key, path, f'{name} has elements 0 to {most - 1}' if array else
                                    f'{name} is not an array')
-                self._arrays.append((steps, int(element) + 1, message_class
-                                     or {'string': str, 'bool': bool}.get(type_, int)))
+                owner, make = _walk(self._message, steps[:-1]), message_class \
+                    or {'string': str, 'bool': bool}.get(type_, int)
+                items = list(getattr(owner, name))
+                items += [make() for _ in range(int(element) + 1 - len(items))]
+                setattr(owner, name, items)
                 steps += (int(element),)
                 array = ''
         return _Place(steps[:-1], steps[-1], type_, array)

@@ -1,7 +1,6 @@
 """The node: checks the parameters, connects the links with ROS, and stops them in order."""
 import gc
 import json
-import logging
 import os
 import signal
 import socket
@@ -13,7 +12,7 @@ from typing import Any, Callable, Dict, Tuple
 
 import rospy
 from rospy.impl import tcpros_base
-from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from serial_communication.srv import Release
 
@@ -125,15 +124,15 @@ def _given() -> Tuple[Any, bool]:
     return rospy.get_param('~', {}), is_stopped
 
 
-def _offer(link: Link, name: str, service_class: Any, call: Callable[[Link, Any], str]) -> None:
+def _offer(name: str, service_class: Any, call: Callable[[Any], str]) -> None:
     """Offer a service that answers whether it is done, and what to say."""
     def handle(request: Any) -> Tuple[bool, str]:
         try:
-            return True, call(link, request)
+            return True, call(request)
         except Refused as refused:
             return False, str(refused)
 
-    rospy.Service(f'~{link.name}/{name}', service_class, handle)
+    rospy.Service(name, service_class, handle)
 
 
 def _release(link: Link, request: Any) -> str:
@@ -141,6 +140,10 @@ def _release(link: Link, request: Any) -> str:
     if request.seconds and not link.lending.closed.wait(_CLOSES):
         raise Refused('the link did not close its port in time', 'time')
     return text
+
+
+def _reset(link: Link, _request: Any) -> str:
+    return link.lending.reset()
 
 
 def _accept_all_calls() -> None:
@@ -165,9 +168,9 @@ class Bridge:
         names = parameters.resolved_names(boards)
         off = [binder.BOARD.name for binder, values in boards.items() if not values['port']]
         if off:
-            logs.LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
-                            f'off, because no port is set: {", ".join(off)} (bridge.launch: if a '
-                            'port is given as an argument, links without a port argument are off)')
+            (rospy.loginfo if len(off) < len(boards) else rospy.logwarn)(
+                'off, because no port is set: %s (bridge.launch: if a port is given as an '
+                'argument, links without a port argument are off)', ', '.join(off))
         boards = {binder: values for binder, values in boards.items() if values['port']}
         binders = [binder(values) for binder, values in boards.items()]
         self._links = sorted((binder.link for binder in binders),
@@ -192,12 +195,12 @@ class Bridge:
             link.start()
         publish_diagnostics(self._links)
         for link in self._links:
-            _offer(link, 'release', Release, _release)
-            _offer(link, 'reset', Trigger, lambda link, _request: link.lending.reset())
-        rospy.Service('~stop', SetBool, self._stop_all)
+            _offer(f'~{link.name}/release', Release, partial(_release, link))
+            _offer(f'~{link.name}/reset', Trigger, partial(_reset, link))
+        _offer('~stop', SetBool, self._stop_all)
         _accept_all_calls()
 
-    def _stop_all(self, request: SetBoolRequest) -> SetBoolResponse:
+    def _stop_all(self, request: Any) -> str:
         """The service ~stop."""
         if request.data:
             self._hold(True)      # all links first: from now on nothing moves again
@@ -205,13 +208,15 @@ class Bridge:
                         for failure in [link.stop_motion()] if failure]
             rospy.logwarn('~stop: all that moves is stopped until ~stop is called with data: '
                           + '; '.join(['false', *failures]))
-            return SetBoolResponse(not failures, '; '.join(failures) or 'stopped')
+            if failures:
+                raise Refused('; '.join(failures), 'stop')
+            return 'stopped'
         if not all(link.writer.fresh.is_fresh(link.now()) for link in self._links):
-            return SetBoolResponse(False, STALLED)
+            raise Refused(STALLED, 'stall')
         if self._is_stopped:
             rospy.loginfo('~stop: released')
         self._hold(False)
-        return SetBoolResponse(True, 'released')
+        return 'released'
 
     def _hold(self, is_stopped: bool) -> None:
         self._is_stopped = is_stopped

@@ -53,8 +53,11 @@ class BoardBinder(Binder):
         self._ranges = [(publisher(f'mcu/{name}', Range), Range(
             Header(frame_id=p[f'{name}_frame_id']), Range.INFRARED, p['field_of_view'],
             p['min_range'], p['max_range'], nan)) for name in ('range_1', 'range_2')]
-        self._status = publisher('mcu/status', McuStatus2)
-        self._adc_status = publisher('mcu/adc_status', McuStatus)
+        # By class of message: the topic, and what it has in place of readings.
+        self._statuses = {
+            wire.SensorStatus: (publisher('mcu/status', McuStatus2),
+                                (_NOT_CONNECTED, _NOT_CONNECTED, nan, nan, nan)),
+            wire.AdcStatus: (publisher('mcu/adc_status', McuStatus), [_NOT_CONNECTED] * 6)}
         self._imu = ImuTopic('mcu/imu', p)
         self._session = SensorSession(
             sparing_log(DESCRIPTION.name), p['timeout'], on_status=self._received,
@@ -62,12 +65,11 @@ class BoardBinder(Binder):
         super().__init__(self._session, p)
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
-        if message.TYPE not in wire.MESSAGES:
+        if type(message) not in self._statuses:
             self.publish(message, stamp)
             return
-        now = self.link.now()
-        is_adc = type(message) is wire.AdcStatus
-        (self._adc_status if is_adc else self._status).publish(
+        now, is_adc = self.link.now(), type(message) is wire.AdcStatus
+        self._statuses[type(message)][0].publish(
             stamp, seq, True, is_adc or message.valid, self._session.checksum_errors,
             now - (self._session.presence.frame_at or now), *message)
         if is_adc:
@@ -82,13 +84,11 @@ class BoardBinder(Binder):
                                              radians(message.yaw) * self._turn))
 
     def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
-        if kind and kind.TYPE not in wire.MESSAGES:
-            return      # custom messages have no status: their topics are silent, too
-        head = (rospy.Time.now(), seq, False, False, self._session.checksum_errors, age)
-        if kind is wire.AdcStatus:
-            self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)
-        else:
-            self._status.publish(*head, _NOT_CONNECTED, _NOT_CONNECTED, nan, nan, nan)
+        kind = kind or wire.SensorStatus
+        if kind in self._statuses:      # custom messages have none: their topics are silent, too
+            topic, readings = self._statuses[kind]
+            topic.publish(rospy.Time.now(), seq, False, False, self._session.checksum_errors, age,
+                          *readings)
 
 
 def _metres(millimetres: int, low: float, high: float) -> float:
