@@ -5,8 +5,9 @@ start all of that happens in the thread of one LatestWorker for all links, since
 master may take any time.
 """
 import threading
+from contextlib import ExitStack
 from functools import partial
-from typing import Any, Callable, Dict, Iterable, List, Sequence, Tuple, Type
+from typing import Any, Dict, Iterable, List, Sequence, Tuple, Type
 
 import rospy
 
@@ -84,7 +85,7 @@ class Binder:
         self._p = p
         # Of the parameters and built in. They take precedence over announced ones.
         self._fixed = [*(resolve(self.BOARD, row) for row in self.BOARD.rows), *rows_in(p)]
-        self._made: Dict[str, Tuple[RosRow, Callable[[], None]]] = {}    # and what takes it down
+        self._made: Dict[str, Tuple[RosRow, ExitStack]] = {}     # and what takes it down
         self._topics: Dict[Any, RowTopic] = {}     # by class of the message
 
     def serve(self, worker: LatestWorker, names: Dict[str, str], values: Dict[str, Any]) -> None:
@@ -114,10 +115,10 @@ class Binder:
     def sync(self, rows: Iterable[RosRow]) -> None:
         """Have exactly these rows in ROS. Nobody notices it of one that is there already."""
         rows_by_name = {each.name: each for each in rows}
-        for name, (made, take_down) in list(self._made.items()):
-            if name not in rows_by_name or rows_by_name[name].row != made.row:
+        for name, (ros_row, made) in list(self._made.items()):
+            if name not in rows_by_name or rows_by_name[name].row != ros_row.row:
                 del self._made[name], self._names[rospy.resolve_name(name)]
-                take_down()
+                made.close()
         for name, each in rows_by_name.items():
             if name not in self._made:
                 self._made[name] = each, self._make(each)
@@ -162,63 +163,41 @@ class Binder:
                 said.append(f'an announced row is left out: {error}')
         return accepted
 
-    # -- one row: each returns what takes it down ------------------------------------------------
+    # -- one row ---------------------------------------------------------------------------------
 
-    def _make(self, ros_row: RosRow) -> Callable[[], None]:
-        row, link = ros_row.row, self.link
+    def _make(self, ros_row: RosRow) -> ExitStack:
+        """Make a row in ROS; closing what is returned takes it down, the last part first."""
+        row, session, made = ros_row.row, self.link.session, ExitStack()
         if row.kind is Kind.SETTING:
-            return link.session.board_settings.add(row)
-        if row.kind is Kind.TO:
-            return self._take_commands(ros_row)
-        if row.kind is Kind.FUNCTION:
-            return self._poll(ros_row) if row.period else self._offer(ros_row)
-        topic = self._topics[row.message] = RowTopic(ros_row, self._p)
-        link.session.decoder.add_message(row.message)
+            made.callback(session.board_settings.add(row))
+        elif row.kind is Kind.TO:
+            if row.motion:
+                session.add_motion(row.zero)
+                made.callback(self.link.writer.write, partial(session.remove_motion, row.zero))
+            made.callback(CommandTopic(ros_row, self.link, self._p['command_age']).close)
+        elif row.kind is Kind.FUNCTION and not row.period:
+            self._offer(ros_row, made)
+        else:
+            topic = RowTopic(ros_row, self._p)
+            made.callback(topic.close)
+            if row.kind is Kind.FUNCTION:
+                made.callback(session.polls.add(row, row.period, lambda outcome: topic.send(
+                    _values(ros_row, outcome), outcome.stamp)))
+            else:
+                self._topics[row.message] = topic
+                made.callback(self._topics.pop, row.message)
+                session.decoder.add_message(row.message)
+                made.callback(session.decoder.remove_message, row.message)
+        return made
 
-        def take_down() -> None:
-            link.session.decoder.remove_message(row.message)
-            del self._topics[row.message]
-            topic.close()
-
-        return take_down
-
-    def _take_commands(self, ros_row: RosRow) -> Callable[[], None]:
-        """Subscribe to commands; one that cannot be sent is refused with a warning."""
-        row, session = ros_row.row, self.link.session
-        topic = CommandTopic(ros_row, self.link, self._p['command_age'])
-        if not row.motion:
-            return topic.close
-        session.add_motion(row.zero)
-
-        def take_down() -> None:
-            topic.close()
-            self.link.writer.write(partial(session.remove_motion, row.zero))
-
-        return take_down
-
-    def _poll(self, ros_row: RosRow) -> Callable[[], None]:
-        """Call a function with a period, and publish its replies."""
-        topic = RowTopic(ros_row, self._p)
-        stop = self.link.session.polls.add(
-            ros_row.row, ros_row.row.period,
-            lambda outcome: topic.send(_values(ros_row, outcome), outcome.stamp))
-
-        def take_down() -> None:
-            stop()
-            topic.close()
-
-        return take_down
-
-    def _offer(self, ros_row: RosRow) -> Callable[[], None]:
+    def _offer(self, ros_row: RosRow, made: ExitStack) -> None:
         """Offer a function as a service."""
         row: Any = ros_row.row
-        fields: Any = ros_row.request
         link = self.link
-        stop = (ros_row.stop_request(), row) if row.interrupts else None
 
         def handle(ros_request: Any) -> Any:
             try:
-                request = row.make_request(fields.read(ros_request))
+                request = row.make_request(ros_row.request.read(ros_request))
             except ValueError as error:
                 outcome = Outcome(NOT_SENT, f'{error}; nothing was sent')
             else:
@@ -228,15 +207,14 @@ class Binder:
                 ros_row.fields.fill(response, _values(ros_row, outcome))
             return response
 
-        service = rospy.Service(ros_row.name, ros_row.ros_class, handle)
-        if stop:
-            link.session.stops.append(stop)
+        def forget_stop() -> None:      # any thread may go through the list meanwhile
+            link.session.stops = [each for each in link.session.stops if each[1] is not row]
 
-        def take_down() -> None:
-            link.session.stops = [each for each in link.session.stops if each is not stop]
-            service.shutdown('the board announces it no longer')
-
-        return take_down
+        made.callback(rospy.Service(ros_row.name, ros_row.ros_class, handle).shutdown,
+                      'the board announces it no longer')
+        if row.interrupts:
+            link.session.stops.append((ros_row.stop_request(), row))
+            made.callback(forget_stop)
 
 
 def _earlier(stamp: rospy.Time, seconds: float) -> rospy.Time:
