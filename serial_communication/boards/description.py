@@ -13,7 +13,7 @@ from ..framing.rows import BOARD, Kind, Row, RowError
 from ..framing.stream import Decoder
 
 BAUD_RANGE = 50, 4000000    # of a port
-ANNOUNCED = 'announced'     # parameter of a board: the announced rows that the bridge uses
+ANNOUNCED_GROUP = 'announced'     # parameter of a board: the announced rows that the bridge uses
 
 
 class Topic(NamedTuple):
@@ -105,7 +105,7 @@ class Description:
 
     def read_announced(self, name: str, given: Any) -> Any:
         """The row that the board announces by this name; RowError for a mistake."""
-        row, = self.group_of(given).read({name: given}, f'{self.name}/{ANNOUNCED}', BOARD)
+        row, = self.group_of(given).read({name: given}, f'{self.name}/{ANNOUNCED_GROUP}', BOARD)
         return row
 
     def group_of(self, given: Any) -> Group:

@@ -11,7 +11,7 @@ from typing import Any, Dict, Iterable, List, Sequence, Tuple, Type
 
 import rospy
 
-from ..boards.description import ANNOUNCED, Description
+from ..boards.description import ANNOUNCED_GROUP, Description
 from ..framing.announcement import read_announcement
 from ..framing.rows import FILE, Kind, RowError, Setting, refuse_second_number
 from ..link.link import Link
@@ -48,7 +48,7 @@ class RowTopic(MessageTopic):
     def send(self, values: Sequence, stamp: rospy.Time) -> None:
         """Publish a message with these values; do nothing once it is closed."""
         with self._lock:
-            if self.is_wanted and not self._fields.lacks(values):
+            if self.has_subscribers and not self._fields.lacks(values):
                 self._fields.fill(self.message, values)
                 self.publish(stamp)
 
@@ -138,7 +138,7 @@ class Binder:
             self.link.log.warn('', line)
         self.link.log.info('', f'announces {", ".join(names) or "nothing"}'
                            + (f' (firmware {firmware})' if firmware else ''))
-        rospy.set_param(f'~{self.link.name}/{ANNOUNCED}', for_xml_rpc(
+        rospy.set_param(f'~{self.link.name}/{ANNOUNCED_GROUP}', for_xml_rpc(
             {name: announcement.rows[name] for name in names}))
 
     def _accepted(self, given: Dict[str, Any], said: List[str]) -> List[RosRow]:

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 from serial_communication.srv import Release
 
 from ..boards import BOARDS
-from ..boards.description import ANNOUNCED
+from ..boards.description import ANNOUNCED_GROUP
 from ..framing.layout import readable
 from ..framing.rows import RowError
 from ..link.link import Link
@@ -97,8 +97,8 @@ def _run(name: str) -> int:
 def _start() -> None:
     given, is_stopped = _given()
     for name, group in given.items():      # what the board announced in an earlier run
-        if isinstance(group, dict) and group.pop(ANNOUNCED, None) is not None:
-            rospy.delete_param(f'~{name}/{ANNOUNCED}')
+        if isinstance(group, dict) and group.pop(ANNOUNCED_GROUP, None) is not None:
+            rospy.delete_param(f'~{name}/{ANNOUNCED_GROUP}')
     node, boards, unknown = parameters.check(given)
     for name in unknown:
         rospy.logwarn('parameter %s/%s is unknown and has no effect', rospy.get_name(),

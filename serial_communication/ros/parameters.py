@@ -57,14 +57,14 @@ class Parameter(NamedTuple):
                            ) from None
 
     def _typed(self, value: Any) -> Any:
-        wanted = type(self.default)
-        if wanted is float and type(value) is int:
+        kind = type(self.default)
+        if kind is float and type(value) is int:
             value = float(value)
-        if type(value) is not wanted or self.choices and value not in self.choices:
+        if type(value) is not kind or self.choices and value not in self.choices:
             raise ValueError
-        if wanted in (int, float) and not self.low <= value <= self.high:
+        if kind in (int, float) and not self.low <= value <= self.high:
             raise ValueError    # NaN fails this as well
-        if wanted is list:
+        if kind is list:
             if len(value) != len(self.default) or not all(
                     type(item) in (int, float) and isfinite(item) for item in value):
                 raise ValueError

@@ -19,7 +19,7 @@ def publisher(name: str, message_class: Any, **options: Any) -> rospy.Publisher:
     return rospy.Publisher(name, message_class, queue_size=100, tcp_nodelay=True, **options)
 
 
-def wanted(topic: rospy.Publisher) -> bool:
+def has_subscribers(topic: rospy.Publisher) -> bool:
     """Return whether the topic has subscribers."""
     return topic.get_num_connections() > 0
 
@@ -55,9 +55,9 @@ class MessageTopic:
             self.topics.append(publisher('/tf', TFMessage))
 
     @property
-    def is_wanted(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether anybody subscribes to the topic, or to the pose."""
-        return any(map(wanted, self.topics))
+        return any(map(has_subscribers, self.topics))
 
     def publish(self, stamp: rospy.Time) -> None:
         """Publish the message, and the pose, whose quaternion has any length but 0.
@@ -67,7 +67,7 @@ class MessageTopic:
         if self.message._has_header:
             self.message.header.stamp = stamp
         self.topics[0].publish(self.message)
-        if not self._pose or not wanted(self.topics[1]):
+        if not self._pose or not has_subscribers(self.topics[1]):
             return
         position, rotation = self._pose.position, self._pose.orientation
         at = position.x, position.y, position.z

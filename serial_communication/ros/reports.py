@@ -13,7 +13,7 @@ from serial_communication.msg import SerialMsg
 from ..framing.stream import Frame
 from ..link.link import Link
 from .background import repeat
-from .publishing import publisher, wanted
+from .publishing import has_subscribers, publisher
 
 _QUEUED = 2000   # frames that may wait for the thread; newer ones are dropped
 _PERIOD = 1.0    # s
@@ -39,7 +39,7 @@ class Traffic(rospy.SubscribeListener):
     def peer_subscribe(self, *_: Any) -> None:
         """Called by rospy."""
         with self._lock:
-            tap = self._enqueue if wanted(self._topic) else None
+            tap = self._enqueue if has_subscribers(self._topic) else None
             for link in self._links:
                 link.traffic.tap = tap
 

@@ -12,7 +12,7 @@ from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
 from ...ros.logs import sparing_log
 from ...ros.parameters import MOUNT, Parameter, frame_id, seconds
-from ...ros.publishing import publisher, wanted
+from ...ros.publishing import has_subscribers, publisher
 from . import DESCRIPTION, wire
 from .session import CarOptions, CarSession
 
@@ -70,9 +70,9 @@ class BoardBinder(Binder):
         if type(message) is not wire.Imu:
             self.publish(message, stamp)
             return
-        if self._imu.is_wanted:
+        if self._imu.has_subscribers:
             self._imu.send(stamp, message.orientation(),
                            message.angular_velocity(self._gyro_scale),
                            message.linear_acceleration())
-        if wanted(self._temperature):
+        if has_subscribers(self._temperature):
             self._temperature.publish(Header(0, stamp, self._frame_id), message.temperature(), 0.0)

@@ -15,7 +15,7 @@ from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
 from ...ros.logs import sparing_log
 from ...ros.parameters import MOUNT, Parameter, frame_id, seconds
-from ...ros.publishing import publisher, wanted
+from ...ros.publishing import has_subscribers, publisher
 from . import DESCRIPTION, wire
 from .session import SensorSession
 
@@ -75,11 +75,11 @@ class BoardBinder(Binder):
         if is_adc:
             return
         for (topic, out), millimetres in zip(self._ranges, message[:2]):
-            if wanted(topic):
+            if has_subscribers(topic):
                 out.header.stamp = stamp
                 out.range = _metres(millimetres, out.min_range, out.max_range)
                 topic.publish(out)
-        if message.angles_known and self._imu.is_wanted:
+        if message.angles_known and self._imu.has_subscribers:
             self._imu.send(stamp, quaternion(radians(message.roll), radians(message.pitch),
                                              radians(message.yaw) * self._turn))
 
