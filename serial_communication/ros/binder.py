@@ -13,7 +13,7 @@ import rospy
 
 from ..boards.description import ANNOUNCED_GROUP, Description
 from ..framing.announcement import read_announcement
-from ..framing.rows import FILE, Kind, RowError, Setting, refuse_second_number
+from ..framing.rows import FILE, Kind, RowError, refuse_second_number
 from ..link.link import Link
 from ..link.outcome import NOT_SENT, Outcome
 from ..link.session import Session
@@ -94,14 +94,10 @@ class Binder:
         Args:
             names: the resolved names of topics and services, and whose each is; for all links.
             values: of settings, that are wanted at the start.
-
-        Raises:
-            RowError: a setting's value is not allowed.
         """
         self._names = names     # of announced rows, too
         if self.link.session.board_settings:
-            SettingsServer(self.link, [each.row for each in self._fixed
-                                       if isinstance(each.row, Setting)], values, worker)
+            SettingsServer(self.link, values, worker)
         self.sync(self._fixed)
         if self._p['announcements']:
             self.link.session.announcement.on_text = partial(worker.submit, self._announced)
@@ -212,8 +208,8 @@ class Binder:
 
         made.callback(rospy.Service(ros_row.name, ros_row.ros_class, handle).shutdown,
                       'the board announces it no longer')
-        if row.interrupts:
-            link.session.stops.append((ros_row.stop_request(), row))
+        if ros_row.stop:
+            link.session.stops.append((ros_row.stop, row))
             made.callback(forget_stop)
 
 

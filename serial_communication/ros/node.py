@@ -32,7 +32,7 @@ from .master import (NAME_TAKEN, check_arguments, empty_ports, end_within, full_
 from .publishing import publish_mounts
 from .reports import Traffic, publish_diagnostics
 from .settings import PARAMETER as SETTINGS
-from .settings import wanted_values
+from .settings import for_xml_rpc
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
 _NAME = 'serial_communication'    # the default
@@ -118,7 +118,7 @@ def _given() -> Tuple[Any, bool]:
     """Return the node's private parameters, as they are given, and whether ~stop holds already."""
     given, is_stopped = json.loads(os.environ.pop(_BEFORE, '[{}, false]'))
     if given:      # a new master does not have them
-        rospy.set_param('~', given)
+        rospy.set_param('~', for_xml_rpc(given))
     for name in set(empty_ports()) & set(BOARDS):
         rospy.set_param(f'~{name}/port', '')
     return rospy.get_param('~', {}), is_stopped
@@ -243,6 +243,7 @@ class Bridge:
             time.sleep(0.05)
         self.stop()
         time.sleep(_ANSWERED)
-        wanted = {**self._given.get(SETTINGS, {}), **wanted_values(self._links)}
-        restart({_BEFORE: json.dumps([{**self._given, SETTINGS: wanted}, self._is_stopped],
-                                     default=str)})
+        settings = {link.name: link.session.board_settings for link in self._links}
+        wanted = {name: each.wanted for name, each in settings.items() if each and each.wanted}
+        given = {**self._given, SETTINGS: {**self._given.get(SETTINGS, {}), **wanted}}
+        restart({_BEFORE: json.dumps([given, self._is_stopped], default=str)})

@@ -10,7 +10,7 @@ import rospy
 
 from ..boards import descriptions
 from ..boards.description import BAUD_RANGE
-from ..framing.rows import RowError
+from ..framing.rows import RowError, Setting
 from ..transport.urls import check_url, identity
 from .rows import read_rows, rows_in
 
@@ -145,6 +145,13 @@ def check(given: Any) -> Tuple[Dict[str, Any], Dict[Any, Dict[str, Any]], List[s
             if name.endswith('frame_id'):
                 values[name] = node['frame_prefix'] + values[name]
     _refuse_shared_ports(boards)
+    for name, binder in binders.items():
+        for row in (each.row for each in rows_in(boards[binder]) if isinstance(each.row, Setting)):
+            value = node['settings'].get(name, {}).get(row.name, row.default)
+            try:
+                row.checked(value)
+            except ValueError as error:
+                raise RowError(f'settings/{name}/{row.name}', value, str(error)) from None
     return node, boards, unknown
 
 

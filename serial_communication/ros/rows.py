@@ -22,11 +22,7 @@ class RosRow(NamedTuple):
     ros_class: Any = None           # of the messages or the service; None: of a setting
     fields: Any = None              # RosFields of the message, or of the service's response
     request: Any = None             # RosFields of a service's request
-
-    def stop_request(self) -> Any:
-        """The request with every field 0, which ~stop sends; ValueError if that is out of range."""
-        row: Any = self.row
-        return row.make_request(self.request.read(self.ros_class._request_class()))
+    stop: Any = None                # of a function that interrupts: what ~stop requests, all 0
 
 
 def read_rows(board: Description, group: Group, given: Any) -> List[RosRow]:
@@ -59,22 +55,21 @@ def resolve(board: Description, row: Row) -> RosRow:
     return RosRow(row, name, found, fields)
 
 
-def _service(row: Row, name: str) -> RosRow:
-    key = row.key
+def _service(row: Any, name: str) -> RosRow:
+    key, stop = row.key, None
     found = find_type(f'{key}/srv_type', row.ros_type, 'srv')
     request = RosFields(found._request_class, row.layout, f'{key}/request/fields')
     reply = RosFields(found._response_class, row.reply, f'{key}/reply/fields')
     for value in map(row.reply.values.__getitem__, reply.without_nan):
         raise RowError(f'{key}/reply/invalid', value.invalid, f'needs a float field, but '
                        f'{value.name} is none, and a response cannot be left out')
-    made = RosRow(replace(row, reply=reply.layout), name, found, reply, request)
     if row.interrupts:
         try:
-            made.stop_request()
+            stop = row.make_request(request.read(found._request_class()))
         except ValueError as error:
             raise RowError(f'{key}/interrupts', True, 'needs a request that allows 0 in every '
                            f'field: {error}') from None
-    return made
+    return RosRow(replace(row, reply=reply.layout), name, found, reply, request, stop)
 
 
 def _check_frame_ids(row: Row, found: Any) -> None:

@@ -4,7 +4,7 @@ dynamic_reconfigure's own Server has a fixed list of parameters, and calls the m
 its lock. So this module has the topics and the service of one, with dynamic_reconfigure's messages.
 """
 from functools import partial
-from typing import Any, Dict, Iterable, Mapping
+from typing import Any, Dict, Mapping
 
 import rospy
 from dynamic_reconfigure.encoding import decode_config, encode_config
@@ -13,7 +13,7 @@ from dynamic_reconfigure.msg import (Config, ConfigDescription, Group, GroupStat
 from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
 from ..framing.layout import FRACTIONS
-from ..framing.rows import RowError, Setting
+from ..framing.rows import Setting
 from ..link.link import Link
 from ..link.settings import State
 from .background import LatestWorker
@@ -33,33 +33,16 @@ def for_xml_rpc(value: Any) -> Any:
     return float(value) if type(value) is int and not -_XML_RPC <= value < _XML_RPC else value
 
 
-def wanted_values(links: Iterable[Link]) -> Dict[str, Dict[str, Any]]:
-    """Return the values that are wanted now, by link and name."""
-    return {link.name: for_xml_rpc(dict(link.session.board_settings.wanted)) for link in links
-            if link.session.board_settings and link.session.board_settings.wanted}
-
-
 class SettingsServer:
     """The settings of one link.
 
     Args:
-        rows: that are there at the start.
-        values: that are wanted at the start, and that the parameter server has, by name; RowError
-            for one that its row does not allow.
+        values: that are wanted at the start, and that the parameter server has, by name.
     """
 
-    def __init__(self, link: Link, rows: Iterable[Setting], values: Dict[str, Any],
-                 worker: LatestWorker) -> None:
-        for row in rows:
-            value = values.get(row.name, row.default)
-            try:
-                row.checked(value)
-            except ValueError as error:
-                raise RowError(f'{PARAMETER}/{link.name}/{row.name}', value, str(error)) from None
+    def __init__(self, link: Link, values: Dict[str, Any], worker: LatestWorker) -> None:
         self._link = link
-        settings = link.session.board_settings
-        assert settings is not None, 'a link with settings'
-        self._settings = settings
+        self._settings: Any = link.session.board_settings
         self._settings.wanted.update(values)
         self._set_values = dict(values)     # that the parameter server has
         self._name = f'~{PARAMETER}/{link.name}'
