@@ -94,14 +94,15 @@ class Description:
         """The name of a row's topic, service or parameter, likewise."""
         return next(group.prefix for group in self.groups if row.kind in group.kinds) + row.name
 
-    def read(self, group: Group, given: Any) -> List[Any]:
-        """The rows in the parameter of a group; RowError for the first mistake."""
-        return group.read(given, f'{self.name}/{group.parameter}')
+    def read(self, parameter: str, given: Any) -> List[Any]:
+        """The rows in one of the parameters `groups`; RowError for the first mistake."""
+        group = next(each for each in self.groups if each.parameter == parameter)
+        return group.read(given, f'{self.name}/{parameter}')
 
     def read_all(self, parameters: Mapping[str, Any]) -> List[Any]:
         """The rows in all parameters of the board; RowError for the first mistake."""
         return [row for group in self.groups
-                for row in self.read(group, parameters.get(group.parameter) or {})]
+                for row in self.read(group.parameter, parameters.get(group.parameter) or {})]
 
     def read_announced(self, name: str, given: Any) -> Any:
         """The row that the board announces by this name; RowError for a mistake."""

@@ -120,7 +120,7 @@ def parameters_of(binder: Any) -> Parameters:
         'baud': Parameter(board.baud, *BAUD_RANGE, unit='baud'),
         'reset_line': Parameter(board.reset_line, choices=('', 'dtr', 'rts')),
         'announcements': Parameter(True),
-        **{group.parameter: Parameter({}, parse=partial(read_rows, board, group))
+        **{group.parameter: Parameter({}, parse=partial(read_rows, board, group.parameter))
            for group in board.groups},
         **binder.PARAMETERS}
 

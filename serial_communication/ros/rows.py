@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any, Dict, List, NamedTuple
 
 from ..boards.description import Description
-from ..framing.row_reader import Group
 from ..framing.rows import Kind, Row, RowError
 from .fields import RosFields, find_type
 
@@ -25,9 +24,9 @@ class RosRow(NamedTuple):
     stop: Any = None                # of a function that interrupts: what ~stop requests, all 0
 
 
-def read_rows(board: Description, group: Group, given: Any) -> List[RosRow]:
-    """The rows in the parameter of a board's group; RowError for the first mistake."""
-    return [resolve(board, row) for row in board.read(group, given)]
+def read_rows(board: Description, parameter: str, given: Any) -> List[RosRow]:
+    """The rows in one of a board's parameters; RowError for the first mistake."""
+    return [resolve(board, row) for row in board.read(parameter, given)]
 
 
 def rows_in(parameters: Dict[str, Any]) -> List[RosRow]:

@@ -22,7 +22,7 @@ TRUTHS = ('roi.do_rectify',)
 
 def published_as(ros_type, layout):
     """The class of a message with one value, which is published in the field `data`."""
-    row, = read_rows(DESCRIPTION, DESCRIPTION.groups[0], {'own': {
+    row, = read_rows(DESCRIPTION, 'messages', {'own': {
         'type': 32, 'ros_type': f'std_msgs/{ros_type}', 'layout': layout, 'fields': ['data']}})
     return row.row.message
 
@@ -108,7 +108,7 @@ def test_any_values_of_any_rows_are_published_and_sent_back_unchanged(cases):
     for index, (row, _) in enumerate(cases):
         entries[f'from{index}'] = dict(row, type=20 + index)
         entries[f'to{index}'] = dict(row, type=120 + index, direction='to_board')
-    rows = {row.row.name: row for row in read_rows(DESCRIPTION, DESCRIPTION.groups[0], entries)}
+    rows = {row.row.name: row for row in read_rows(DESCRIPTION, 'messages', entries)}
     decoder = wire.Decoder(messages=[
         rows[f'from{index}'].row.message for index in range(len(cases))])
     for index, (row, raws) in enumerate(cases):

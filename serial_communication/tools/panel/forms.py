@@ -124,7 +124,7 @@ def settings(boards: Iterable[Description], parameters: Any) -> Dict[str, Servic
         if Kind.SETTING not in group.kinds:
             continue
         try:
-            setting, = board.read(group, {name: row})
+            setting, = board.read(group.parameter, {name: row})
         except RowError:
             continue        # the bridge does not use it
         found[group.prefix + name] = Service(
@@ -148,7 +148,7 @@ def custom_messages(boards: Iterable[Description], parameters: Any) -> Dict[str,
         if row.get('direction') != 'to_board':
             continue
         try:
-            message, = read_rows(board, group, {name: row})
+            message, = read_rows(board, group.parameter, {name: row})
         except RowError:
             continue        # the bridge has not started with it
         found[message.name] = Message(message, board.name, [
@@ -165,7 +165,7 @@ def _request_values(board: Description, group: Group, name: str,
                     row: Dict[str, Any]) -> Iterable[Value]:
     """The values of a function's request, by its row."""
     try:
-        return board.read(group, {name: row})[0].layout.values
+        return board.read(group.parameter, {name: row})[0].layout.values
     except RowError:
         return ()
 

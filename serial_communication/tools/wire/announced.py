@@ -37,7 +37,7 @@ class Learner:
             rows = parameters.get(group.parameter) or {}
             if name not in rows:
                 try:
-                    board.read(group, {**rows, name: row})
+                    board.read(group.parameter, {**rows, name: row})
                     parameters[group.parameter] = {**rows, name: row}
                 except RowError:
                     pass    # the bridge leaves it out, too
