@@ -71,9 +71,6 @@ class Description:
     reset_line: str = ''             # `dtr` or `rts`, which resets the board; '': none does
     # Bytes that end a frame, are never inside one, and may also separate two frames.
     between: bytes = b''
-    # s of silence after something was sent, after which a network port is closed and opened again,
-    # since the data may still wait in the network; 0: never.
-    network_silence: float = 0.0
     # A frame that changes nothing, for a board that is silent until it is asked.
     question: bytes = b''
 

@@ -113,6 +113,11 @@ def request_of(row: Setting, value: Any) -> Any:
     return ReconfigureRequest(encode_config({row.name: _type(row)(row.checked(value))}))
 
 
+def value_in(response: Any, row: Setting) -> Any:
+    """Return the value of a setting in a response; None if it is not there."""
+    return decode_config(response.config).get(row.name)
+
+
 def _type(row: Setting) -> type:
     """The type of a setting in dynamic_reconfigure, whose integers have 32 bits with a sign."""
     return bool if row.code == '?' else float if row.code in ('I', *FRACTIONS) else int

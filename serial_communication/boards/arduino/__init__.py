@@ -52,5 +52,4 @@ DESCRIPTION = Description(
             'The car stops, and its board starts anew.'))),
     longest_gap=LONGEST_GAP,
     reset_line='dtr',
-    between=b'\0',
-    network_silence=1.5)
+    between=b'\0')

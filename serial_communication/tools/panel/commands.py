@@ -13,7 +13,6 @@ from typing import Any, Callable, Deque, Dict, List, Optional, Tuple
 
 import genpy
 import rospy
-from dynamic_reconfigure.encoding import decode_config
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, SetBoolRequest
 
@@ -22,7 +21,7 @@ from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
 from ...ros.fields import outcome_fields
 from ...ros.background import LatestWorker
-from ...ros.settings import request_of
+from ...ros.settings import request_of, value_in
 from ..watch.calls import MOST_WAIT, Answer, Verdict, call
 from ..watch.state import BridgeState
 from ..watch.topics import absolute, leaves, one_line
@@ -347,8 +346,7 @@ def _request(name: str, service: Service, arguments: Dict[str, Any]) -> Any:
 def _reply(service: Service, response: Any) -> List[Tuple[str, str]]:
     """The fields of a response that an outcome does not fill: name and value as text."""
     if service.setting:
-        name = service.setting.name
-        return [(name, str(decode_config(response.config).get(name)))]
+        return [(service.setting.name, str(value_in(response, service.setting)))]
     known = outcome_fields(type(response))
     return [(each.name, one_line(each.text())[:_MAX_REPLY_TEXT]) for each in islice(
         (leaf for name in response.__slots__ if name not in known
