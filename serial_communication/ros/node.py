@@ -142,10 +142,6 @@ def _release(link: Link, request: Any) -> str:
     return text
 
 
-def _reset(link: Link, _request: Any) -> str:
-    return link.lending.reset()
-
-
 def _accept_all_calls() -> None:
     """Let all calls wait that come during a stall. rospy lets six wait, and the others' callers try
     again seconds later, when a call looks new."""
@@ -196,7 +192,8 @@ class Bridge:
         publish_diagnostics(self._links)
         for link in self._links:
             _offer(f'~{link.name}/release', Release, partial(_release, link))
-            _offer(f'~{link.name}/reset', Trigger, partial(_reset, link))
+            _offer(f'~{link.name}/reset', Trigger,
+                   lambda _request, lending=link.lending: lending.reset())
         _offer('~stop', SetBool, self._stop_all)
         _accept_all_calls()
 
