@@ -192,8 +192,8 @@ class Bridge:
         publish_diagnostics(self._links)
         for link in self._links:
             _offer(f'~{link.name}/release', Release, partial(_release, link))
-            _offer(f'~{link.name}/reset', Trigger,
-                   lambda _request, lending=link.lending: lending.reset())
+            _offer(f'~{link.name}/reset', Trigger, partial(
+                lambda lending, _request: lending.reset(), link.lending))
         _offer('~stop', SetBool, self._stop_all)
         _accept_all_calls()
 
