@@ -125,20 +125,19 @@ class Binder:
     def _announced(self, text: bytes) -> None:
         """Use the rows that the board announces, as far as they may be."""
         announcement = read_announcement(text)
-        said = list(announcement.problems)
-        accepted = self._accepted(announcement.rows, said)
+        for line in announcement.problems:
+            self.link.log.warn('', line)
+        accepted = self._accepted(announcement.rows)
         self.sync(self._fixed + accepted)
         names, firmware = [each.row.name for each in accepted], announcement.firmware
         self.link.session.announcement.use(text, firmware, names)
-        for line in said:
-            self.link.log.warn('', line)
         self.link.log.info('', f'announces {", ".join(names) or "nothing"}'
                            + (f' (firmware {firmware})' if firmware else ''))
         rospy.set_param(f'~{self.link.name}/{ANNOUNCED_GROUP}', for_xml_rpc(
             {name: announcement.rows[name] for name in names}))
 
-    def _accepted(self, given: Dict[str, Any], said: List[str]) -> List[RosRow]:
-        """The rows that may be used; why the others may not is added to `said`."""
+    def _accepted(self, given: Dict[str, Any]) -> List[RosRow]:
+        """The rows that may be used; a warning says why another may not."""
         accepted: List[RosRow] = []
         for name in given:
             try:
@@ -153,10 +152,10 @@ class Binder:
                         raise RowError(row.key, name, f'has the name of {user}')
                     accepted.append(resolve(self.BOARD, row))
                 elif other != row:
-                    said.append(f'the announced row {name} is left out: the parameter {other.key} '
-                                'differs, and takes precedence')
+                    self.link.log.warn('', f'the announced row {name} is left out: the parameter '
+                                       f'{other.key} differs, and takes precedence')
             except RowError as error:
-                said.append(f'an announced row is left out: {error}')
+                self.link.log.warn('', f'an announced row is left out: {error}')
         return accepted
 
     # -- one row ---------------------------------------------------------------------------------

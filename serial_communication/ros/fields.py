@@ -43,14 +43,12 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
         RowError: the type is not installed.
     """
     package, short = name.split('/')
+    path = os.path.join(package, kind, f'_{short}.py')
+    find = roslib.message.get_service_class if kind == 'srv' else roslib.message.get_message_class
     found = None
-    if any(os.path.exists(os.path.join(folder, package, kind, f'_{short}.py'))
-           for folder in sys.path):
-        find = roslib.message.get_message_class if kind == 'msg' else \
-            roslib.message.get_service_class
-        with suppress(Exception, SystemExit):     # the module of that name may be anything
-            found = find(name)
-    if found is None:
+    with suppress(Exception, SystemExit):     # the module of that name may be anything
+        found = any(os.path.exists(os.path.join(each, path)) for each in sys.path) and find(name)
+    if not found:
         raise RowError(key, name, 'is not an installed type: is its package installed, and the '
                        'workspace of that package sourced?')
     return found

@@ -95,7 +95,12 @@ def _run(name: str) -> int:
 
 
 def _start() -> None:
-    given, is_stopped = _given()
+    given, is_stopped = json.loads(os.environ.pop(_BEFORE, '[{}, false]'))
+    if given:      # a new master does not have them
+        rospy.set_param('~', for_xml_rpc(given))
+    for name in set(empty_ports()) & set(BOARDS):
+        rospy.set_param(f'~{name}/port', '')
+    given = rospy.get_param('~', {})
     for name, group in given.items():      # what the board announced in an earlier run
         if isinstance(group, dict) and group.pop(ANNOUNCED_GROUP, None) is not None:
             rospy.delete_param(f'~{name}/{ANNOUNCED_GROUP}')
@@ -112,16 +117,6 @@ def _start() -> None:
     gc.freeze()
     bridge.start()
     watch_master(bridge.start_again)
-
-
-def _given() -> Tuple[Any, bool]:
-    """Return the node's private parameters, as they are given, and whether ~stop holds already."""
-    given, is_stopped = json.loads(os.environ.pop(_BEFORE, '[{}, false]'))
-    if given:      # a new master does not have them
-        rospy.set_param('~', for_xml_rpc(given))
-    for name in set(empty_ports()) & set(BOARDS):
-        rospy.set_param(f'~{name}/port', '')
-    return rospy.get_param('~', {}), is_stopped
 
 
 def _offer(name: str, service_class: Any, call: Callable[[Any], str]) -> None:
