@@ -77,6 +77,14 @@ class _Place(NamedTuple):
         matrix[::len(given) + 1] = given
         return matrix
 
+    def get(self, message: Any) -> Any:
+        """Read the value in the message; IndexError if its array is too short."""
+        owner = _walk(message, self.owner)
+        if self.type == _ANGLE:
+            return angles(owner.x, owner.y, owner.z, owner.w)[_ANGLES.index(self.last)]
+        value = _walk(owner, (self.last,))
+        return tuple(value) if isinstance(value, (list, bytes)) else value
+
     def put(self, message: Any, value: Any) -> None:
         """Write a value into the message."""
         holder = _walk(message, self.owner)
@@ -159,19 +167,10 @@ class RosFields:
         Raises:
             ValueError: one of its arrays is too short.
         """
-        values = []
-        for place in self._places:
-            if place is None:
-                values.append(0)
-                continue
-            try:
-                owner = _walk(message, place.owner)
-                value = angles(owner.x, owner.y, owner.z, owner.w)[_ANGLES.index(place.last)] \
-                    if place.type == _ANGLE else _walk(owner, (place.last,))
-            except IndexError:
-                raise ValueError(f'{place.owner[-1]} has no element {place.last}') from None
-            values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
-        return tuple(values)
+        try:
+            return tuple([place.get(message) if place else 0 for place in self._places])
+        except IndexError:
+            raise ValueError('one of its arrays is too short') from None
 
     def _place(self, key: str, value: Value) -> _Place:
         """Return the place of a value; raise RowError if there is none that can hold it."""

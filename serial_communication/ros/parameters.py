@@ -144,9 +144,13 @@ def check(given: Any) -> Tuple[Dict[str, Any], Dict[Any, Dict[str, Any]], List[s
         for name in values:
             if name.endswith('frame_id'):
                 values[name] = node['frame_prefix'] + values[name]
-    _refuse_shared_ports(boards)
-    for name, binder in binders.items():
-        for row in (each.row for each in rows_in(boards[binder]) if isinstance(each.row, Setting)):
+    ports: Dict[Any, str] = {}
+    for name, values in zip(binders, boards.values()):
+        port = identity(values['port']) if values['port'] else None
+        if port and ports.setdefault(port, name) != name:      # it would wait for it for ever
+            raise RowError(f'{name}/port', values['port'],
+                           f'is also the port of {ports[port]}; each link needs its own')
+        for row in (each.row for each in rows_in(values) if isinstance(each.row, Setting)):
             value = node['settings'].get(name, {}).get(row.name, row.default)
             try:
                 row.checked(value)
@@ -161,17 +165,6 @@ def _values(parameters: Parameters, given: Any, prefix: str, unknown: List[str])
     unknown += [prefix + name for name in sorted(given) if name not in parameters]
     return {name: parameter.checked(prefix + name, given.get(name, parameter.default))
             for name, parameter in parameters.items()}
-
-
-def _refuse_shared_ports(boards: Dict[Any, Dict[str, Any]]) -> None:
-    ports: Dict[Any, str] = {}
-    for binder, values in boards.items():
-        key, url = f'{binder.BOARD.name}/port', values['port']
-        port = identity(url) if url else None
-        if port in ports:       # one of the two links would wait for it for ever
-            raise RowError(key, url, f'is also the port of {ports[port]}; each link needs its own')
-        if port is not None:
-            ports[port] = f'{key} ({values["port"]})'
 
 
 def resolved_names(boards: Dict[Any, Dict[str, Any]]) -> Dict[str, str]:
