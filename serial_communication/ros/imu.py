@@ -19,16 +19,13 @@ class PackedImu(Imu):
     def serialize(self, buff: Any) -> None:
         header, at, rate, acceleration = (self.header, self.orientation, self.angular_velocity,
                                           self.linear_acceleration)
-        try:
-            frame_id = header.frame_id.encode()
-            buff.write(_HEAD.pack(header.seq, header.stamp.secs, header.stamp.nsecs, len(frame_id))
-                       + frame_id + _NUMBERS.pack(
-                           at.x, at.y, at.z, at.w, *self.orientation_covariance,
-                           rate.x, rate.y, rate.z, *self.angular_velocity_covariance,
-                           acceleration.x, acceleration.y, acceleration.z,
-                           *self.linear_acceleration_covariance))
-        except (struct.error, TypeError, AttributeError):
-            super().serialize(buff)     # raises what rospy expects
+        frame_id = header.frame_id.encode()
+        buff.write(_HEAD.pack(header.seq, header.stamp.secs, header.stamp.nsecs, len(frame_id))
+                   + frame_id + _NUMBERS.pack(
+                       at.x, at.y, at.z, at.w, *self.orientation_covariance,
+                       rate.x, rate.y, rate.z, *self.angular_velocity_covariance,
+                       acceleration.x, acceleration.y, acceleration.z,
+                       *self.linear_acceleration_covariance))
 
 
 class ImuTopic(MessageTopic):
