@@ -12,7 +12,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tu
 
 import roslib.message
 import rospy
-from genpy import SerializationError
+from genpy import Message, SerializationError
 
 from ..framing.layout import BOARD_TIME, FINITE, FRACTIONS, NO_VALUE, Layout, Value
 from ..framing.rotation import angles, quaternion
@@ -193,35 +193,32 @@ class RosFields:
     def _follow(self, key: str, path: str) -> _Place:
         """Return the place at a path, which is in the message from now on; RowError if there can be
         none."""
-        message_class: Any = type(self._message)
-        type_ = array = ''
+        there, type_, array = self._message, '', ''
         steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
-            fields = dict(zip(message_class.__slots__, message_class._slot_types)) \
-                if message_class else {}
-            if fields and message_class._type == _QUATERNION:
+            owner = there
+            fields = dict(zip(owner.__slots__, owner._slot_types)) \
+                if isinstance(owner, Message) else {}
+            if fields and owner._type == _QUATERNION:
                 fields.update(dict.fromkeys(_ANGLES, _ANGLE))
             if name not in fields:
                 raise RowError(key, path, f'has no field {name} there, but '
                                f'{", ".join(fields) or f"a single {type_}"}')
             type_, bracket, size = fields[name].partition('[')
             array = bracket + size
-            message_class = None if type_ in _CODES or type_ in ('string', 'time', 'duration') \
-                else roslib.message.get_message_class(
-                    'std_msgs/Header' if type_ == 'Header' else type_)
+            there = None if type_ == _ANGLE else getattr(owner, name)
             steps += (name,)
             if element:
                 most = int(array[1:-1] or _MOST_ELEMENTS) if array else 0
                 if int(element) >= most:
                     raise RowError(key, path, f'{name} has elements 0 to {most - 1}' if array else
                                    f'{name} is not an array')
-                owner, make = _walk(self._message, steps[:-1]), message_class \
-                    or {'string': str, 'bool': bool}.get(type_, int)
-                items = list(getattr(owner, name))
-                items += [make() for _ in range(int(element) + 1 - len(items))]
+                make = roslib.message.get_message_class(type_) if '/' in type_ else \
+                    {'string': str, 'bool': bool}.get(type_, int)
+                items = [*there, *(make() for _ in range(int(element) + 1 - len(there)))]
                 setattr(owner, name, items)
+                there, array = items[int(element)], ''
                 steps += (int(element),)
-                array = ''
         return _Place(steps[:-1], steps[-1], type_, array)
 
 
