@@ -99,7 +99,7 @@ class Binder:
         if self.link.session.board_settings:
             SettingsServer(self.link, values, worker)
         self.sync(self._fixed)
-        if self._p['announcements']:
+        if self._p['announcements'] and self.BOARD.groups:
             self.link.session.announcement.on_text = partial(worker.submit, self._announced)
 
     def publish(self, message: Any, stamp: rospy.Time) -> None:
