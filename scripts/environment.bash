@@ -14,7 +14,7 @@ prefixes=(/opt/ros/one /opt/ros/noetic)
 packages() {
     cat <<'END'
 run      ros-core-python-dev=ros-core rosbash=ros-core catkin=ros-core python3-tf2-ros=tf2-ros
-run      python3-diagnostic-updater=diagnostic-updater
+run      python3-diagnostic-msgs=diagnostic-msgs
 run      python3-dynamic-reconfigure=dynamic-reconfigure
 # With the package.xml by which rosrun finds dynparam:
 run      libdynamic-reconfigure-config-init-mutex-dev=dynamic-reconfigure

@@ -1,4 +1,4 @@
-"""The boards: one folder each, the list of them, and functions that find one by its name.
+"""The boards: one folder each, the list of them, and their descriptions.
 
 doc/developing.md lists the files of a board's folder. The folder of a board of another package is
 elsewhere; its name is the package's import name. A board is imported only when it is asked for, so
@@ -31,12 +31,3 @@ def descriptions(packages: Iterable[str] = ()) -> List[Description]:
     """The boards of this package, in order, and those of other packages; BoardError if one cannot
     be found."""
     return [description(name) for name in (*BOARDS, *packages)]
-
-
-def find(name: str, packages: Iterable[str] = ()) -> Description:
-    """The board whose link has this name, of this package or of `packages`; or the board of the
-    package `name`. BoardError if there is none."""
-    for board in () if name in BOARDS else map(description, packages):
-        if board.name == name:
-            return board
-    return description(name)

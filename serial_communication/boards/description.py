@@ -6,14 +6,14 @@ The modules with the link, ROS and the simulator are imported when they are used
 import importlib
 import math
 from dataclasses import dataclass
-from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Tuple
+from typing import Any, Callable, List, Mapping, NamedTuple, Optional, Set, Tuple
 
 from ..framing.row_reader import Group
 from ..framing.rows import BOARD, Kind, Row, RowError
 from ..framing.stream import Decoder
 
 BAUD_RANGE = 50, 4000000    # of a port
-ANNOUNCED = 'announced'     # parameter of a board: the announced rows that the bridge uses
+ANNOUNCED_GROUP = 'announced'     # parameter of a board: the announced rows that the bridge uses
 
 
 class Topic(NamedTuple):
@@ -68,11 +68,9 @@ class Description:
     other_names: Tuple[str, ...] = ()        # of other topics and services
     longest_gap: Optional[float] = None      # s without heartbeat; then the board stops its motor
     baud: int = 115200               # of the port, if its parameters have none: see `baud_of`
+    reset_line: str = ''             # `dtr` or `rts`, which resets the board; '': none does
     # Bytes that end a frame, are never inside one, and may also separate two frames.
     between: bytes = b''
-    # s of silence after something was sent, after which a network port is closed and opened again,
-    # since the data may still wait in the network; 0: never.
-    network_silence: float = 0.0
     # A frame that changes nothing, for a board that is silent until it is asked.
     question: bytes = b''
 
@@ -84,11 +82,10 @@ class Description:
             for row in self.rows if row.kind is Kind.FROM)]
 
     @property
-    def names(self) -> List[str]:
+    def names(self) -> Set[str]:
         """The names of its topics and services, relative to the node."""
-        of_rows = [self.name_of(row) for row in self.rows]
-        return [*(topic.name for topic in self.topics), *of_rows, *self.other_names,
-                *(service.name for service in self.services if service.name not in of_rows)]
+        return {*(topic.name for topic in self.topics), *map(self.name_of, self.rows),
+                *(service.name for service in self.services), *self.other_names}
 
     def name_of(self, row: Row) -> str:
         """The name of a row's topic, service or parameter, likewise."""
@@ -106,7 +103,7 @@ class Description:
 
     def read_announced(self, name: str, given: Any) -> Any:
         """The row that the board announces by this name; RowError for a mistake."""
-        row, = self.group_of(given).read({name: given}, f'{self.name}/{ANNOUNCED}', BOARD)
+        row, = self.group_of(given).read({name: given}, f'{self.name}/{ANNOUNCED_GROUP}', BOARD)
         return row
 
     def group_of(self, given: Any) -> Group:
@@ -125,6 +122,6 @@ class Description:
         return given
 
     @property
-    def interface(self) -> Any:
-        """The board's class on the ROS side: see `ros.interface.Interface`."""
-        return importlib.import_module(self.package + '.ros').INTERFACE
+    def binder(self) -> Any:
+        """The board's class on the ROS side: a subclass of `ros.binder.Binder`."""
+        return importlib.import_module(self.package + '.ros').BoardBinder

@@ -52,11 +52,11 @@ class Session:
     """
 
     NAME = ''
-    STOPS_FIRST = False     # True: at shutdown this link is stopped before the others
     # True: it tells old replies from new ones by itself. What waited during a stall is decoded.
     FENCED = False
     board_settings: Optional[BoardSettings] = None      # None: the board has none
-    BEATS = False           # True: `beat` is called by a thread of its own
+    # True: `beat` is called by a thread of its own; at shutdown this link is stopped first.
+    BEATS = False
 
     def __init__(self, decoder: Decoder, log: SparingLog, network_silence: float = 0.0) -> None:
         self.decoder = decoder

@@ -6,10 +6,9 @@ from typing import Any, Callable, Dict, Tuple
 
 import rospy
 
-from ..link.sparing_log import SparingLog
 from .logs import sparing_log
 
-_PAUSE = 0.1      # s between two rounds of a worker: who submits may do so all the time
+_PAUSE = 0.1      # s between two calls of a worker: who submits may do so all the time
 
 
 def repeat(name: str, function: Callable[[], None]) -> None:
@@ -18,18 +17,14 @@ def repeat(name: str, function: Callable[[], None]) -> None:
 
     def run() -> None:
         while True:
-            _call(log, function)
+            try:
+                function()
+            except Exception:  # pylint: disable=broad-except
+                # A master that ends, and rospy as it shuts down, may raise anything.
+                if not rospy.is_shutdown():
+                    log.error('fault', traceback.format_exc())
 
     threading.Thread(target=run, name=name, daemon=True).start()
-
-
-def _call(log: SparingLog, function: Callable[..., None], *arguments: Any) -> None:
-    try:
-        function(*arguments)
-    except Exception:  # pylint: disable=broad-except
-        # A master that ends, and rospy as it shuts down, may raise anything.
-        if not rospy.is_shutdown():
-            log.error('fault', traceback.format_exc())
 
 
 class LatestWorker:
@@ -39,23 +34,20 @@ class LatestWorker:
     """
 
     def __init__(self, name: str) -> None:
-        self._log = sparing_log(name)
         self._waiting: Dict[Callable[..., None], Tuple] = {}
-        self._lock = threading.Lock()
-        self._wake = threading.Event()
-        repeat(name, self._round)
+        self._changed = threading.Condition()
+        repeat(name, self._next)
 
     def submit(self, function: Callable[..., None], *arguments: Any) -> None:
         """Have this function called soon. May be called from any thread."""
-        with self._lock:
+        with self._changed:
             self._waiting[function] = arguments
-        self._wake.set()
+            self._changed.notify()
 
-    def _round(self) -> None:
-        self._wake.wait()
-        self._wake.clear()
-        with self._lock:
-            waiting, self._waiting = self._waiting, {}
-        for function, arguments in waiting.items():
-            _call(self._log, function, *arguments)
+    def _next(self) -> None:
         time.sleep(_PAUSE)
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting)
+            function = next(iter(self._waiting))
+            arguments = self._waiting.pop(function)
+        function(*arguments)

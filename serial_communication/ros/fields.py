@@ -6,22 +6,30 @@ import os
 import re
 import sys
 from contextlib import suppress
+from copy import deepcopy
 from io import BytesIO
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple, Union
 
 import roslib.message
-from genpy import SerializationError
+import rospy
+from genpy import Message, SerializationError
 
 from ..framing.layout import BOARD_TIME, FINITE, FRACTIONS, NO_VALUE, Layout, Value
 from ..framing.rotation import angles, quaternion
 from ..framing.rows import RowError
+from ..link.outcome import Outcome
 
-_CODES = {'bool': '?', 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B', 'int16': 'h',
-          'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
-          'float32': 'f', 'float64': 'd'}      # struct's codes
+_ANGLE = 'angle'     # the type of a further field of a quaternion, in radians
+_ANGLES = 'roll', 'pitch', 'yaw'
+# Struct's codes of the types of numbers.
+_CODES = {'bool': FINITE, _ANGLE: FINITE, 'int8': 'b', 'byte': 'b', 'uint8': 'B', 'char': 'B',
+          'int16': 'h', 'uint16': 'H', 'int32': 'i', 'uint32': 'I', 'int64': 'q', 'uint64': 'Q',
+          'float32': 'f', 'float64': 'd'}
 _MOST_ELEMENTS = 1000     # of an array whose elements are named singly, such as position[2]
 _QUATERNION = 'geometry_msgs/Quaternion'
-_ANGLES = 'roll', 'pitch', 'yaw'     # further fields of a quaternion, in radians
+# Of the fields of a response that an outcome fills, where it has them.
+_OUTCOME_TYPES = {'success': ('bool',), 'status': ('uint8', 'uint16', 'uint32', 'int16', 'int32'),
+                  'error_code': ('uint16', 'uint32', 'int32'), 'message': ('string',)}
 _STEP = re.compile(r'([A-Za-z]\w*)(?:\[(\d+)\])?')
 
 
@@ -35,14 +43,12 @@ def find_type(key: str, name: str, kind: str = 'msg') -> Any:
         RowError: the type is not installed.
     """
     package, short = name.split('/')
+    path = os.path.join(package, kind, f'_{short}.py')
+    find = roslib.message.get_service_class if kind == 'srv' else roslib.message.get_message_class
     found = None
-    if any(os.path.exists(os.path.join(folder, package, kind, f'_{short}.py'))
-           for folder in sys.path):
-        find = roslib.message.get_message_class if kind == 'msg' else \
-            roslib.message.get_service_class
-        with suppress(Exception, SystemExit):     # the module of that name may be anything
-            found = find(name)
-    if found is None:
+    with suppress(Exception, SystemExit):     # the module of that name may be anything
+        found = any(os.path.exists(os.path.join(each, path)) for each in sys.path) and find(name)
+    if not found:
         raise RowError(key, name, 'is not an installed type: is its package installed, and the '
                        'workspace of that package sourced?')
     return found
@@ -55,13 +61,12 @@ class _Place(NamedTuple):
     last: Union[str, int]                  # its field name or index there
     type: str                              # of ROS
     array: str                             # '[3]', '[]', or '' if it is none
-    is_angle: bool                         # of a quaternion, which has no such field
     to_ros: Optional[Callable[[Any], Any]] = None     # converts the value
 
     @property
     def code(self) -> str:
         """Struct's code of its number, or `FINITE`; '' for a text."""
-        return FINITE if self.is_angle or self.type == 'bool' else _CODES.get(self.type, '')
+        return _CODES.get(self.type, '')
 
     def whole(self, given: Any) -> Any:
         """A constant for it; of a list that is the diagonal of a matrix, the matrix."""
@@ -71,6 +76,14 @@ class _Place(NamedTuple):
         matrix = [0.0] * size
         matrix[::len(given) + 1] = given
         return matrix
+
+    def get(self, message: Any) -> Any:
+        """Read the value in the message; IndexError if its array is too short."""
+        owner = _walk(message, self.owner)
+        if self.type == _ANGLE:
+            return angles(owner.x, owner.y, owner.z, owner.w)[_ANGLES.index(self.last)]
+        value = _walk(owner, (self.last,))
+        return tuple(value) if isinstance(value, (list, bytes)) else value
 
     def put(self, message: Any, value: Any) -> None:
         """Write a value into the message."""
@@ -99,9 +112,7 @@ class RosFields:
 
     def __init__(self, message_class: Any, layout: Layout, key: str,
                  constants: Optional[Dict[str, Any]] = None, constants_key: str = '') -> None:
-        self._class = message_class
-        self._arrays: List[Tuple[Tuple, int, Any]] = []    # path, length and element in a message
-        self._constants: List[Tuple[_Place, Any]] = []
+        self._message = message_class()     # with the constants, and arrays long enough
         if any(value.name == BOARD_TIME for value in layout.values) \
                 and not message_class._has_header:
             raise RowError(key, BOARD_TIME, f'needs a type with a header, {message_class._type} '
@@ -110,37 +121,29 @@ class RosFields:
                         for value in layout.values]
         for path, given in (constants or {}).items():
             constant = self._follow(constants_key, path)
-            self._constants.append((constant, constant.whole(given)))
             try:
-                self.new().serialize(BytesIO())
+                constant.put(self._message, constant.whole(given))
+                self._message.serialize(BytesIO())
             except (SerializationError, AttributeError, OverflowError, ValueError) as error:
                 raise RowError(f'{constants_key}/{path}', given,
                                f'cannot be there: {error}') from None
         # By the path to a quaternion: the indices of the values that are its angles.
         self._angles: Dict[Tuple, Dict[Union[str, int], int]] = {}
         for index, place in enumerate(self._places):
-            if place and place.is_angle:
+            if place and place.type == _ANGLE:
                 self._angles.setdefault(place.owner, {})[place.last] = index
         # The values that may be "no value", in fields that cannot be NaN.
         self.without_nan = [
             index for index, (value, place) in enumerate(zip(layout.values, self._places))
             if place and value.invalid is not None
-            and place.code not in FRACTIONS and not place.is_angle]
+            and place.code not in FRACTIONS and place.type != _ANGLE]
         # The layout; there, a value that its field cannot hold is implausible.
         self.layout = Layout(layout.layout, layout.values,
                              ['' if place is None else place.code for place in self._places])
 
     def new(self) -> Any:
         """Return a message that has the constants, and arrays long enough for all values."""
-        message = self._class()
-        for steps, size, element in self._arrays:
-            owner = _walk(message, steps[:-1])
-            items = list(getattr(owner, steps[-1]))
-            items += [element() for _ in range(size - len(items))]
-            setattr(owner, steps[-1], items)
-        for place, value in self._constants:
-            place.put(message, list(value) if isinstance(value, list) else value)
-        return message
+        return deepcopy(self._message)
 
     def lacks(self, values: Sequence) -> bool:
         """Return whether one of the values is "no value" and its field cannot be NaN."""
@@ -150,7 +153,7 @@ class RosFields:
     def fill(self, message: Any, values: Sequence) -> Any:
         """Write the values into a message from `new`, and return it."""
         for place, value in zip(self._places, values):
-            if place and not place.is_angle:
+            if place and place.type != _ANGLE:
                 place.put(message, place.to_ros(value) if place.to_ros else value)
         for owner, indices in self._angles.items():
             turn = _walk(message, owner)
@@ -164,19 +167,10 @@ class RosFields:
         Raises:
             ValueError: one of its arrays is too short.
         """
-        values = []
-        for place in self._places:
-            if place is None:
-                values.append(0)
-                continue
-            try:
-                owner = _walk(message, place.owner)
-                value = angles(owner.x, owner.y, owner.z, owner.w)[_ANGLES.index(place.last)] \
-                    if place.is_angle else _walk(owner, (place.last,))
-            except IndexError:
-                raise ValueError(f'{place.owner[-1]} has no element {place.last}') from None
-            values.append(tuple(value) if isinstance(value, (list, bytes)) else value)
-        return tuple(values)
+        try:
+            return tuple([place.get(message) if place else 0 for place in self._places])
+        except IndexError:
+            raise ValueError('one of its arrays is too short') from None
 
     def _place(self, key: str, value: Value) -> _Place:
         """Return the place of a value; raise RowError if there is none that can hold it."""
@@ -197,37 +191,55 @@ class RosFields:
         return place._replace(to_ros=convert)
 
     def _follow(self, key: str, path: str) -> _Place:
-        """Return the place at a path; RowError if there is none."""
-        message_class, type_, array, is_angle = self._class, '', '', False
+        """Return the place at a path, which is in the message from now on; RowError if there can be
+        none."""
+        there, type_, array = self._message, '', ''
         steps: Tuple[Union[str, int], ...] = ()
         for name, element in _STEP.findall(path):
-            fields = dict(zip(message_class.__slots__, message_class._slot_types)) \
-                if message_class else {}
-            if fields and message_class._type == _QUATERNION:
-                fields.update(dict.fromkeys(_ANGLES, 'float64'))
+            owner = there
+            fields = dict(zip(owner.__slots__, owner._slot_types)) \
+                if isinstance(owner, Message) else {}
+            if fields and owner._type == _QUATERNION:
+                fields.update(dict.fromkeys(_ANGLES, _ANGLE))
             if name not in fields:
                 raise RowError(key, path, f'has no field {name} there, but '
                                f'{", ".join(fields) or f"a single {type_}"}')
-            is_angle = name not in message_class.__slots__
             type_, bracket, size = fields[name].partition('[')
             array = bracket + size
-            message_class = None if type_ in _CODES or type_ in ('string', 'time', 'duration') \
-                else roslib.message.get_message_class(
-                    'std_msgs/Header' if type_ == 'Header' else type_)
+            there = None if type_ == _ANGLE else getattr(owner, name)
             steps += (name,)
             if element:
                 most = int(array[1:-1] or _MOST_ELEMENTS) if array else 0
                 if int(element) >= most:
                     raise RowError(key, path, f'{name} has elements 0 to {most - 1}' if array else
                                    f'{name} is not an array')
-                self._arrays.append((steps, int(element) + 1, message_class
-                                     or {'string': str, 'bool': bool}.get(type_, int)))
+                make = roslib.message.get_message_class(type_) if '/' in type_ else \
+                    {'string': str, 'bool': bool}.get(type_, int)
+                items = [*there, *(make() for _ in range(int(element) + 1 - len(there)))]
+                setattr(owner, name, items)
+                there, array = items[int(element)], ''
                 steps += (int(element),)
-                array = ''
-        return _Place(steps[:-1], steps[-1], type_, array, is_angle)
+        return _Place(steps[:-1], steps[-1], type_, array)
 
 
 def _walk(message: Any, steps: Sequence) -> Any:
     for step in steps:
         message = message[step] if isinstance(step, int) else getattr(message, step)
     return message
+
+
+def outcome_fields(response_class: Any) -> List[str]:
+    """Return the names of the fields of a response that an outcome fills."""
+    types = dict(zip(response_class.__slots__, response_class._slot_types))
+    return [name for name, fitting in _OUTCOME_TYPES.items() if types.get(name) in fitting]
+
+
+def fill_response(response: Any, outcome: Outcome) -> Any:
+    """Write an outcome into a response, and return the response; rospy.ServiceException if the call
+    failed and the response has no field `success`."""
+    names = outcome_fields(type(response))
+    if not outcome.success and 'success' not in names:
+        raise rospy.ServiceException(outcome.message)
+    for name in names:
+        setattr(response, name, getattr(outcome, name))
+    return response

@@ -6,7 +6,7 @@ import rospy
 from geometry_msgs.msg import Pose
 from sensor_msgs.msg import Imu
 
-from .publishing import PoseTopic
+from .publishing import MessageTopic
 
 _HEAD = struct.Struct('<4I')        # seq, stamp, length of frame_id
 _NUMBERS = struct.Struct('<37d')
@@ -19,19 +19,16 @@ class PackedImu(Imu):
     def serialize(self, buff: Any) -> None:
         header, at, rate, acceleration = (self.header, self.orientation, self.angular_velocity,
                                           self.linear_acceleration)
-        try:
-            frame_id = header.frame_id.encode()
-            buff.write(_HEAD.pack(header.seq, header.stamp.secs, header.stamp.nsecs, len(frame_id))
-                       + frame_id + _NUMBERS.pack(
-                           at.x, at.y, at.z, at.w, *self.orientation_covariance,
-                           rate.x, rate.y, rate.z, *self.angular_velocity_covariance,
-                           acceleration.x, acceleration.y, acceleration.z,
-                           *self.linear_acceleration_covariance))
-        except (struct.error, TypeError, AttributeError):
-            super().serialize(buff)     # raises what rospy expects
+        frame_id = header.frame_id.encode()
+        buff.write(_HEAD.pack(header.seq, header.stamp.secs, header.stamp.nsecs, len(frame_id))
+                   + frame_id + _NUMBERS.pack(
+                       at.x, at.y, at.z, at.w, *self.orientation_covariance,
+                       rate.x, rate.y, rate.z, *self.angular_velocity_covariance,
+                       acceleration.x, acceleration.y, acceleration.z,
+                       *self.linear_acceleration_covariance))
 
 
-class ImuTopic(PoseTopic):
+class ImuTopic(MessageTopic):
     """Publishes an IMU's messages, and its orientation on /tf if the parameters say so.
 
     Args:
@@ -41,30 +38,27 @@ class ImuTopic(PoseTopic):
 
     def __init__(self, name: str, p: Dict[str, Any], rate: Optional[float] = None,
                  acceleration: Optional[float] = None) -> None:
-        super().__init__(name, Imu, (p['imu_frame_id'], p['imu_orientation_frame_id'])
-                         if p['publish_tf'] else None)
-        level = p['roll_pitch_stdev']
-        self._message = PackedImu()
-        self._pose = Pose(orientation=self._message.orientation)
-        self._message.header.frame_id = p['imu_frame_id']
-        self._message.orientation_covariance = _covariance(level, level, p['yaw_stdev'])
-        self._message.angular_velocity_covariance = \
+        message, level = PackedImu(), p['roll_pitch_stdev']
+        super().__init__(name, message, Pose(orientation=message.orientation)
+                         if p['publish_tf'] else None, p['imu_orientation_frame_id'])
+        message.header.frame_id = p['imu_frame_id']
+        message.orientation_covariance = _covariance(level, level, p['yaw_stdev'])
+        message.angular_velocity_covariance = \
             _NOT_MEASURED if rate is None else _covariance(rate, rate, rate)
-        self._message.linear_acceleration_covariance = \
+        message.linear_acceleration_covariance = \
             _NOT_MEASURED if acceleration is None else _covariance(*[acceleration] * 3)
 
     def send(self, stamp: rospy.Time, orientation: Sequence[float],
              rate: Sequence[float] = (0.0, 0.0, 0.0),
              acceleration: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         """Publish an orientation (x, y, z, w), a rate in rad/s and an acceleration in m/s^2."""
-        message = self._message
-        message.header.stamp = stamp
+        message = self.message
         at, turn, force = (message.orientation, message.angular_velocity,
                            message.linear_acceleration)
         at.x, at.y, at.z, at.w = orientation
         turn.x, turn.y, turn.z = rate
         force.x, force.y, force.z = acceleration
-        self.publish(message, stamp, self._pose)
+        self.publish(stamp)
 
 
 def _covariance(x: float, y: float, z: float) -> List[float]:

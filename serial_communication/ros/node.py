@@ -1,7 +1,6 @@
 """The node: checks the parameters, connects the links with ROS, and stops them in order."""
 import gc
 import json
-import logging
 import os
 import signal
 import socket
@@ -13,12 +12,14 @@ from typing import Any, Callable, Dict, Tuple
 
 import rospy
 from rospy.impl import tcpros_base
-from std_srvs.srv import SetBool, SetBoolRequest, SetBoolResponse, Trigger
+from std_srvs.srv import SetBool, Trigger
 
 from serial_communication.srv import Release
 
 from ..boards import BOARDS
-from ..boards.description import ANNOUNCED
+from ..boards.description import ANNOUNCED_GROUP
+from ..framing.layout import readable
+from ..framing.rows import RowError
 from ..link.link import Link
 from ..link.outcome import Refused
 from ..link.writer import STALLED
@@ -28,11 +29,10 @@ from . import direct, logs, parameters
 from .background import LatestWorker
 from .master import (NAME_TAKEN, check_arguments, empty_ports, end_within, full_name, restart,
                      running_node, watch_master)
-from .parameter import ParameterError
 from .publishing import publish_mounts
 from .reports import Traffic, publish_diagnostics
 from .settings import PARAMETER as SETTINGS
-from .settings import wanted_values
+from .settings import for_xml_rpc
 
 _SWITCH_INTERVAL = 0.0005   # s; so that a busy thread does not delay the heartbeat
 _NAME = 'serial_communication'    # the default
@@ -83,8 +83,9 @@ def _run(name: str) -> int:
         if not rospy.core.is_shutdown_requested():
             raise
         return 0
-    except ParameterError as error:
-        rospy.logfatal(error)
+    except (RowError, parameters.NameTaken) as error:
+        is_name = isinstance(error, parameters.NameTaken)
+        rospy.logfatal('%s', error if is_name else f'parameter {rospy.get_name()}/{error}')
         # roslaunch, which names each node's log file, would start it again, with the same mistake.
         while any(each.startswith('__log:=') for each in sys.argv) and not rospy.is_shutdown():
             time.sleep(0.1)
@@ -94,14 +95,20 @@ def _run(name: str) -> int:
 
 
 def _start() -> None:
-    given, is_stopped = _given()
-    values, warnings = parameters.check(given, rospy.get_name())
-    for board in values['boards']:      # what they announced in an earlier run
-        if given.get(board.NAME, {}).pop(ANNOUNCED, None) is not None:
-            rospy.delete_param(f'~{board.NAME}/{ANNOUNCED}')
-    for warning in warnings:
-        rospy.logwarn(warning)
-    bridge = Bridge(values, given, parameters.resolved_names(values, given), is_stopped)
+    given, is_stopped = json.loads(os.environ.pop(_BEFORE, '[{}, false]'))
+    if given:      # a new master does not have them
+        rospy.set_param('~', for_xml_rpc(given))
+    for name in set(empty_ports()) & set(BOARDS):
+        rospy.set_param(f'~{name}/port', '')
+    given = rospy.get_param('~', {})
+    for name, group in given.items():      # what the board announced in an earlier run
+        if isinstance(group, dict) and group.pop(ANNOUNCED_GROUP, None) is not None:
+            rospy.delete_param(f'~{name}/{ANNOUNCED_GROUP}')
+    node, boards, unknown = parameters.check(given)
+    for name in unknown:
+        rospy.logwarn('parameter %s/%s is unknown and has no effect', rospy.get_name(),
+                      readable(name))
+    bridge = Bridge(node, boards, given, is_stopped)
     rospy.on_shutdown(bridge.stop)
     if rospy.core.is_shutdown_requested():      # otherwise nothing may call `stop` later
         return
@@ -112,25 +119,15 @@ def _start() -> None:
     watch_master(bridge.start_again)
 
 
-def _given() -> Tuple[Any, bool]:
-    """Return the node's private parameters, as they are given, and whether ~stop holds already."""
-    given, is_stopped = json.loads(os.environ.pop(_BEFORE, '[{}, false]'))
-    if given:      # a new master does not have them
-        rospy.set_param('~', given)
-    for name in set(empty_ports()) & set(BOARDS):
-        rospy.set_param(f'~{name}/port', '')
-    return rospy.get_param('~', {}), is_stopped
-
-
-def _offer(link: Link, name: str, service_class: Any, call: Callable[[Link, Any], str]) -> None:
+def _offer(name: str, service_class: Any, call: Callable[[Any], str]) -> None:
     """Offer a service that answers whether it is done, and what to say."""
     def handle(request: Any) -> Tuple[bool, str]:
         try:
-            return True, call(link, request)
+            return True, call(request)
         except Refused as refused:
             return False, str(refused)
 
-    rospy.Service(f'~{link.name}/{name}', service_class, handle)
+    rospy.Service(name, service_class, handle)
 
 
 def _release(link: Link, request: Any) -> str:
@@ -151,35 +148,34 @@ class Bridge:
     """All links that have a port, with their diagnostics, transforms and serial_msg.
 
     Args:
-        p: the checked parameters; `given` as they were given.
-        names: the resolved names of topics and services, and whose each is.
+        p: the checked parameters of the node; `boards`: for each board's binder its own;
+            `given`: all as they were given.
         is_stopped: whether ~stop holds from the start.
     """
 
-    def __init__(self, p: dict, given: dict, names: Dict[str, str], is_stopped: bool) -> None:
+    def __init__(self, p: Dict[str, Any], boards: Dict[Any, Dict[str, Any]],
+                 given: Dict[str, Any], is_stopped: bool) -> None:
         self._given = given
-        self._longest_call = p['bus/motion_timeout']
-        boards = [(board, parameters.of_board(board, p)) for board in p['boards']]
-        off = [board.NAME for board, values in boards if not values['port']]
+        names = parameters.resolved_names(boards)
+        off = [binder.BOARD.name for binder, values in boards.items() if not values['port']]
         if off:
-            logs.LOGGER.log(logging.INFO if len(off) < len(boards) else logging.WARNING,
-                            f'off, because no port is set: {", ".join(off)} (bridge.launch: if a '
-                            'port is given as an argument, links without a port argument are off)')
-        boards = [(board, values) for board, values in boards if values['port']]
-        interfaces = [board(values) for board, values in boards]
-        for interface, (_, values) in zip(interfaces, boards):
-            interface.link.lending.reset_line = values['reset_line']
-        self._links = sorted((interface.link for interface in interfaces),
-                             key=lambda link: not link.session.STOPS_FIRST)
+            (rospy.loginfo if len(off) < len(boards) else rospy.logwarn)(
+                'off, because no port is set: %s (bridge.launch: if a port is given as an '
+                'argument, links without a port argument are off)', ', '.join(off))
+        boards = {binder: values for binder, values in boards.items() if values['port']}
+        binders = [binder(values) for binder, values in boards.items()]
+        self._links = sorted((binder.link for binder in binders),
+                             key=lambda link: not link.session.BEATS)
+        self._longest_call = max((values.get('motion_timeout', 0.0) for values in boards.values()),
+                                 default=0.0)
         publish_mounts(p['base_frame_id'], {
-            values[f'{name}_frame_id']: values[f'{name}_mount']
-            for board, values in boards for name in board.MOUNTS})
+            values[name.replace('_mount', '_frame_id')]: values[name]
+            for values in boards.values() for name in values if name.endswith('_mount')})
         self._hold(is_stopped)
         Traffic(self._links)
         worker = LatestWorker('rows')
-        for interface in interfaces:
-            if interface.binder:
-                interface.binder.serve(worker, names, p[SETTINGS].get(interface.NAME, {}))
+        for binder in binders:
+            binder.serve(worker, names, p[SETTINGS].get(binder.BOARD.name, {}))
 
     def start(self) -> None:
         """Open the ports, subscribe to commands and offer services."""
@@ -188,14 +184,15 @@ class Bridge:
         set_priority_of_all(_PRIORITY)
         for link in self._links:
             link.start()
+        publish_diagnostics(self._links)
         for link in self._links:
-            publish_diagnostics(link)
-            _offer(link, 'release', Release, _release)
-            _offer(link, 'reset', Trigger, lambda link, _request: link.lending.reset())
-        rospy.Service('~stop', SetBool, self._stop_all)
+            _offer(f'~{link.name}/release', Release, partial(_release, link))
+            _offer(f'~{link.name}/reset', Trigger, partial(
+                lambda lending, _request: lending.reset(), link.lending))
+        _offer('~stop', SetBool, self._stop_all)
         _accept_all_calls()
 
-    def _stop_all(self, request: SetBoolRequest) -> SetBoolResponse:
+    def _stop_all(self, request: Any) -> str:
         """The service ~stop."""
         if request.data:
             self._hold(True)      # all links first: from now on nothing moves again
@@ -203,13 +200,15 @@ class Bridge:
                         for failure in [link.stop_motion()] if failure]
             rospy.logwarn('~stop: all that moves is stopped until ~stop is called with data: '
                           + '; '.join(['false', *failures]))
-            return SetBoolResponse(not failures, '; '.join(failures) or 'stopped')
+            if failures:
+                raise Refused('; '.join(failures), 'stop')
+            return 'stopped'
         if not all(link.writer.fresh.is_fresh(link.now()) for link in self._links):
-            return SetBoolResponse(False, STALLED)
+            raise Refused(STALLED, 'stall')
         if self._is_stopped:
             rospy.loginfo('~stop: released')
         self._hold(False)
-        return SetBoolResponse(True, 'released')
+        return 'released'
 
     def _hold(self, is_stopped: bool) -> None:
         self._is_stopped = is_stopped
@@ -236,6 +235,7 @@ class Bridge:
             time.sleep(0.05)
         self.stop()
         time.sleep(_ANSWERED)
-        wanted = {**self._given.get(SETTINGS, {}), **wanted_values(self._links)}
-        restart({_BEFORE: json.dumps([{**self._given, SETTINGS: wanted}, self._is_stopped],
-                                     default=str)})
+        settings = {link.name: link.session.board_settings for link in self._links}
+        wanted = {name: each.wanted for name, each in settings.items() if each and each.wanted}
+        given = {**self._given, SETTINGS: {**self._given.get(SETTINGS, {}), **wanted}}
+        restart({_BEFORE: json.dumps([given, self._is_stopped], default=str)})

@@ -1,6 +1,6 @@
 """Publishers with the options that this node needs, and transforms of tf."""
 from math import isfinite, sqrt
-from typing import Any, Dict, List, Optional, Sequence, Tuple
+from typing import Any, Dict, List, Sequence
 
 import rospy
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
@@ -19,7 +19,7 @@ def publisher(name: str, message_class: Any, **options: Any) -> rospy.Publisher:
     return rospy.Publisher(name, message_class, queue_size=100, tcp_nodelay=True, **options)
 
 
-def wanted(topic: rospy.Publisher) -> bool:
+def has_subscribers(topic: rospy.Publisher) -> bool:
     """Return whether the topic has subscribers."""
     return topic.get_num_connections() > 0
 
@@ -38,43 +38,43 @@ def publish_mounts(base: str, mounts: Dict[str, List[float]]) -> None:
         for child, mount in mounts.items()]))
 
 
-class PoseTopic:
-    """A topic whose messages may have a pose, which is published on /tf, too.
+class MessageTopic:
+    """A topic whose message is filled in anew each time, and whose pose may be on /tf, too.
 
     Args:
-        frames: parent and child of the pose; None: nothing is published on /tf.
+        pose: a geometry_msgs/Pose, in the message or beside it, in the frame of its header; None:
+            nothing is published on /tf.
+        child: the frame that has this pose.
     """
 
-    def __init__(self, name: str, message_class: Any,
-                 frames: Optional[Tuple[str, str]] = None) -> None:
-        self._frames = frames
-        self._topics = [publisher(name, message_class)]
-        if frames:
-            self._topics.append(publisher('/tf', TFMessage))
+    def __init__(self, name: str, message: Any, pose: Any = None, child: str = '') -> None:
+        self.message = message
+        self.topics = [publisher(name, type(message))]
+        self._pose, self._child = pose, child
+        if pose:
+            self.topics.append(publisher('/tf', TFMessage))
 
     @property
-    def is_wanted(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether anybody subscribes to the topic, or to the pose."""
-        return any(map(wanted, self._topics))
+        return any(map(has_subscribers, self.topics))
 
-    def publish(self, message: Any, stamp: rospy.Time, pose: Any) -> None:
-        """Publish a message, and its geometry_msgs/Pose, whose quaternion has any length but 0.
+    def publish(self, stamp: rospy.Time) -> None:
+        """Publish the message, and the pose, whose quaternion has any length but 0.
 
         A pose that tf2 would refuse, with NaN or infinity, is left out.
         """
-        self._topics[0].publish(message)
-        if not self._frames or not wanted(self._topics[1]):
+        if self.message._has_header:
+            self.message.header.stamp = stamp
+        self.topics[0].publish(self.message)
+        if not self._pose or not has_subscribers(self.topics[1]):
             return
-        at = pose.position.x, pose.position.y, pose.position.z
-        rotation = pose.orientation
+        position, rotation = self._pose.position, self._pose.orientation
+        at = position.x, position.y, position.z
         turn = rotation.x, rotation.y, rotation.z, rotation.w
         norm = sqrt(sum(part * part for part in turn))
         if norm and all(map(isfinite, (norm, *at))):
             # tf2 refuses a quaternion whose length is 0.5 % wrong.
-            self._topics[1].publish(TFMessage([_transform(
-                *self._frames, at, [part / norm for part in turn], stamp)]))
-
-    def close(self) -> None:
-        """Unregister."""
-        for topic in self._topics:
-            topic.unregister()
+            self.topics[1].publish(TFMessage([_transform(
+                self.message.header.frame_id, self._child, at, [part / norm for part in turn],
+                stamp)]))

@@ -5,7 +5,7 @@ import time
 from typing import Any, Iterable, Tuple
 
 import rospy
-from diagnostic_updater import Updater
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
 from serial_communication.msg import SerialMsg
@@ -13,7 +13,7 @@ from serial_communication.msg import SerialMsg
 from ..framing.stream import Frame
 from ..link.link import Link
 from .background import repeat
-from .publishing import publisher, wanted
+from .publishing import has_subscribers, publisher
 
 _QUEUED = 2000   # frames that may wait for the thread; newer ones are dropped
 _PERIOD = 1.0    # s
@@ -39,7 +39,7 @@ class Traffic(rospy.SubscribeListener):
     def peer_subscribe(self, *_: Any) -> None:
         """Called by rospy."""
         with self._lock:
-            tap = self._enqueue if wanted(self._topic) else None
+            tap = self._enqueue if has_subscribers(self._topic) else None
             for link in self._links:
                 link.traffic.tap = tap
 
@@ -56,23 +56,16 @@ class Traffic(rospy.SubscribeListener):
                             frame.trouble)
 
 
-def publish_diagnostics(link: Link) -> None:
-    """Publish the status of a link from now on, once a second by the monotonic clock.
+def publish_diagnostics(links: Iterable[Link]) -> None:
+    """Publish the status of each link from now on, once a second by the monotonic clock."""
+    topic = publisher('/diagnostics', DiagnosticArray)
 
-    Each has an updater, since an updater has one hardware id and a link's is its port.
-    """
-    def task(status: Any) -> Any:
-        report = link.report(link.now())
-        status.summary(report.level, report.summary)
-        for key, value in report.values:
-            status.add(key, str(value))
-        return status
-
-    def update() -> None:
+    def publish() -> None:
         time.sleep(_PERIOD)
-        updater.force_update()      # update() would count in ROS time, which may stop
+        for link in links:
+            level, summary, values = link.report(link.now())
+            topic.publish(Header(0, rospy.Time.now(), ''), [DiagnosticStatus(
+                level, f'{rospy.get_name()[1:]}: {link.name} link', summary, link.port.url,
+                [KeyValue(key, str(value)) for key, value in values])])
 
-    updater = Updater()
-    updater.setHardwareID(link.port.url)
-    updater.add(link.name + ' link', task)
-    repeat(f'{link.name} diagnostics', update)
+    repeat('diagnostics', publish)

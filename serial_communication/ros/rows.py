@@ -4,13 +4,11 @@ These are resolved while the parameters are checked. So a mistake in a row ends 
 has registered anything or opened a port.
 """
 from dataclasses import replace
-from functools import partial
 from typing import Any, Dict, List, NamedTuple
 
 from ..boards.description import Description
 from ..framing.rows import Kind, Row, RowError
 from .fields import RosFields, find_type
-from .parameter import PORT, Parameter, Parameters, baud
 
 ODOMETRY = 'nav_msgs/Odometry'
 
@@ -23,19 +21,7 @@ class RosRow(NamedTuple):
     ros_class: Any = None           # of the messages or the service; None: of a setting
     fields: Any = None              # RosFields of the message, or of the service's response
     request: Any = None             # RosFields of a service's request
-
-    def stop_request(self) -> Any:
-        """The request with every field 0, which ~stop sends; ValueError if that is out of range."""
-        row: Any = self.row
-        return row.make_request(self.request.read(self.ros_class._request_class()))
-
-
-def board_parameters(board: Description, announcements: bool = True) -> Parameters:
-    """The parameters with a board's port and rows, and the one that says whether it may announce
-    some, whose default is given."""
-    return {'port': PORT, 'baud': baud(board), 'announcements': Parameter(announcements), **{
-        group.parameter: Parameter({}, parse=partial(read_rows, board, group.parameter))
-        for group in board.groups}}
+    stop: Any = None                # of a function that interrupts: what ~stop requests, all 0
 
 
 def read_rows(board: Description, parameter: str, given: Any) -> List[RosRow]:
@@ -68,22 +54,21 @@ def resolve(board: Description, row: Row) -> RosRow:
     return RosRow(row, name, found, fields)
 
 
-def _service(row: Row, name: str) -> RosRow:
-    key = row.key
+def _service(row: Any, name: str) -> RosRow:
+    key, stop = row.key, None
     found = find_type(f'{key}/srv_type', row.ros_type, 'srv')
     request = RosFields(found._request_class, row.layout, f'{key}/request/fields')
     reply = RosFields(found._response_class, row.reply, f'{key}/reply/fields')
     for value in map(row.reply.values.__getitem__, reply.without_nan):
         raise RowError(f'{key}/reply/invalid', value.invalid, f'needs a float field, but '
                        f'{value.name} is none, and a response cannot be left out')
-    made = RosRow(replace(row, reply=reply.layout), name, found, reply, request)
     if row.interrupts:
         try:
-            made.stop_request()
+            stop = row.make_request(request.read(found._request_class()))
         except ValueError as error:
             raise RowError(f'{key}/interrupts', True, 'needs a request that allows 0 in every '
                            f'field: {error}') from None
-    return made
+    return RosRow(replace(row, reply=reply.layout), name, found, reply, request, stop)
 
 
 def _check_frame_ids(row: Row, found: Any) -> None:

@@ -4,20 +4,19 @@ dynamic_reconfigure's own Server has a fixed list of parameters, and calls the m
 its lock. So this module has the topics and the service of one, with dynamic_reconfigure's messages.
 """
 from functools import partial
-from typing import Any, Dict, Iterable, Mapping
+from typing import Any, Dict, Mapping
 
 import rospy
-from dynamic_reconfigure.encoding import encode_config
+from dynamic_reconfigure.encoding import decode_config, encode_config
 from dynamic_reconfigure.msg import (Config, ConfigDescription, Group, GroupState,
                                      ParamDescription)
 from dynamic_reconfigure.srv import Reconfigure, ReconfigureRequest, ReconfigureResponse
 
 from ..framing.layout import FRACTIONS
-from ..framing.rows import RowError, Setting
+from ..framing.rows import Setting
 from ..link.link import Link
 from ..link.settings import State
 from .background import LatestWorker
-from .parameter import ParameterError
 from .publishing import publisher
 
 PARAMETER = 'settings'     # of the node: values by link and name
@@ -34,44 +33,16 @@ def for_xml_rpc(value: Any) -> Any:
     return float(value) if type(value) is int and not -_XML_RPC <= value < _XML_RPC else value
 
 
-def start_values(given: Any) -> Dict[str, Dict[str, Any]]:
-    """Return the parameter `settings`; ValueError if it is not values by link and name."""
-    if type(given) is not dict or not all(
-            type(values) is dict and all(type(value) in (bool, int, float)
-                                         for value in values.values())
-            for values in given.values()):
-        raise ValueError('may be values by link and name, as {arduino: {kp: 2.0}}')
-    return given
-
-
-def wanted_values(links: Iterable[Link]) -> Dict[str, Dict[str, Any]]:
-    """Return the values that are wanted now, as `start_values`."""
-    return {link.name: for_xml_rpc(dict(link.session.board_settings.wanted)) for link in links
-            if link.session.board_settings and link.session.board_settings.wanted}
-
-
 class SettingsServer:
     """The settings of one link.
 
     Args:
-        rows: that are there at the start.
-        values: that are wanted at the start, and that the parameter server has, by name;
-            ParameterError for one that its row does not allow.
+        values: that are wanted at the start, and that the parameter server has, by name.
     """
 
-    def __init__(self, link: Link, rows: Iterable[Setting], values: Dict[str, Any],
-                 worker: LatestWorker) -> None:
-        for row in rows:
-            value = values.get(row.name, row.default)
-            try:
-                row.checked(value)
-            except ValueError as error:
-                name = rospy.resolve_name(f'~{PARAMETER}/{link.name}/{row.name}')
-                raise ParameterError(f'parameter {RowError(name, value, str(error))}') from None
+    def __init__(self, link: Link, values: Dict[str, Any], worker: LatestWorker) -> None:
         self._link = link
-        settings = link.session.board_settings
-        assert settings is not None, 'a link with settings'
-        self._settings = settings
+        self._settings: Any = link.session.board_settings
         self._settings.wanted.update(values)
         self._set_values = dict(values)     # that the parameter server has
         self._name = f'~{PARAMETER}/{link.name}'
@@ -108,21 +79,22 @@ class SettingsServer:
     def _set(self, request: Any) -> Any:
         """Want the values of a request; return those that the board uses then."""
         shown = self._settings.shown()
-        given = {name: value for name, value in _values(request.config).items() if name in shown}
+        given = {name: value for name, value in decode_config(request.config).items()
+                 if name in shown and type(value) is not str}
         for name, value in given.items():
             row = shown[name].row
             self._settings.want(name, min(max(value, row.minimum), row.maximum))
         self._settings.wait(given, _ANSWER)
         shown = self._settings.shown()
         for name in given.keys() & shown.keys():
-            state = shown[name]
+            state, why = shown[name], ''
             if not state.is_settled:
-                self._link.log.warn(f'set {name}', f'the setting {name} = {state.wanted} is not '
-                                    'confirmed by the board yet; it is sent until it is')
+                why = f'= {state.wanted} is not confirmed by the board yet; it is sent until it is'
             elif state.wanted is not None and state.value != state.wanted:
-                self._link.log.warn(f'set {name}', f'the setting {name} cannot be {state.wanted}: '
-                                    f'the board uses {state.value}')
+                why = f'cannot be {state.wanted}: the board uses {state.value}'
                 self._settings.want(name, state.value)
+            if why:
+                self._link.log.warn(f'set {name}', f'the setting {name} {why}')
         return ReconfigureResponse(_config(self._settings.shown()))
 
 
@@ -143,11 +115,7 @@ def request_of(row: Setting, value: Any) -> Any:
 
 def value_in(response: Any, row: Setting) -> Any:
     """Return the value of a setting in a response; None if it is not there."""
-    return _values(response.config).get(row.name)
-
-
-def _values(config: Any) -> Dict[str, Any]:
-    return {each.name: each.value for each in (*config.bools, *config.ints, *config.doubles)}
+    return decode_config(response.config).get(row.name)
 
 
 def _type(row: Setting) -> type:

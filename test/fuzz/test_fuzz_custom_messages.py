@@ -13,7 +13,6 @@ from sensor_msgs.msg import CameraInfo  # noqa: E402
 
 from serial_communication.boards.arduino import DESCRIPTION, wire  # noqa: E402
 from serial_communication.ros.rows import read_rows  # noqa: E402
-from serial_communication.ros.parameters import check  # noqa: E402
 
 # CameraInfo has all kinds of fields: integers, fractions, a bool, a text, and both kinds of arrays.
 WHOLE = ('height', 'width', 'binning_x', 'binning_y', 'roi.x_offset', 'roi.height')   # uint32
@@ -109,8 +108,7 @@ def test_any_values_of_any_rows_are_published_and_sent_back_unchanged(cases):
     for index, (row, _) in enumerate(cases):
         entries[f'from{index}'] = dict(row, type=20 + index)
         entries[f'to{index}'] = dict(row, type=120 + index, direction='to_board')
-    checked, _ = check({'arduino': {'messages': entries}}, '/node')
-    rows = {row.row.name: row for row in checked['arduino/messages']}
+    rows = {row.row.name: row for row in read_rows(DESCRIPTION, 'messages', entries)}
     decoder = wire.Decoder(messages=[
         rows[f'from{index}'].row.message for index in range(len(cases))])
     for index, (row, raws) in enumerate(cases):

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 pytest.importorskip('rospy')
 from serial_communication.framing.layout import readable  # noqa: E402
-from serial_communication.framing.rows import Kind  # noqa: E402
-from serial_communication.ros.parameters import ParameterError, check  # noqa: E402
+from serial_communication.framing.rows import Kind, RowError  # noqa: E402
+from serial_communication.ros.parameters import check  # noqa: E402
 
 NUMBERS = st.one_of(
     st.integers(), st.floats(), st.booleans(), st.sampled_from((10**400, -10**400, 2**64, 1e-320)))
@@ -81,12 +81,13 @@ def test_any_row_is_accepted_or_refused_with_one_line(case, data):
     group, name, row = case
     section, rows_of = group.split('/')
     try:
-        values, _ = check({section: {rows_of: {name: row}}}, '/node')
-    except ParameterError as error:
-        assert str(error).startswith(f'parameter /node/{group}'), error
+        _node, boards, _unknown = check({section: {rows_of: {name: row}}})
+    except RowError as error:
+        assert str(error).startswith(group), error
         assert str(error) == readable(str(error)) and len(str(error)) < 1000, error
         return
-    accepted, = values[group]
+    accepted, = next(values[rows_of] for binder, values in boards.items()
+                     if binder.BOARD.name == section)
     row, fields = accepted.row, accepted.fields
     layout = row.message.LAYOUT if rows_of == 'messages' else row.reply
     is_command = row.kind is Kind.TO
@@ -113,6 +114,6 @@ def test_only_generated_modules_are_imported(tmp_path, monkeypatch):
     (package / '__init__.py').write_text('import sys\nsys.is_imported = True\n')
     monkeypatch.syspath_prepend(str(tmp_path))
     row = {'type': 20, 'ros_type': 'any_package/Any', 'layout': '<h', 'fields': ['data']}
-    with pytest.raises(ParameterError, match='is not an installed type'):
-        check({'arduino': {'messages': {'any': row}}}, '/node')
+    with pytest.raises(RowError, match='is not an installed type'):
+        check({'arduino': {'messages': {'any': row}}})
     assert not hasattr(sys, 'is_imported')

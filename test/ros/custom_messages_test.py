@@ -26,7 +26,8 @@ from serial_communication.framing import announcement, cobs
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.tools.watch.calls import Verdict, read_error, read_response
-from serial_communication.ros.parameters import ParameterError, check, resolved_names
+from serial_communication.framing.rows import RowError
+from serial_communication.ros.parameters import NameTaken, check, resolved_names
 from serial_communication.srv import Lift
 
 OWN = '/' + PACKAGE + '/'
@@ -327,10 +328,10 @@ class Mistakes(unittest.TestCase):
 
     def assert_mistake(self, group, name, row, key):
         section, rows = group.split('/')
-        with self.subTest(row), self.assertRaises(ParameterError) as mistake:
-            check({section: {rows: {name: row}}}, '/node')
+        with self.subTest(row), self.assertRaises(RowError) as mistake:
+            check({section: {rows: {name: row}}})
         text = str(mistake.exception)
-        self.assertTrue(text.startswith(f'parameter /node/{group}/{name}{key} is '), text)
+        self.assertTrue(text.startswith(f'{group}/{name}{key} is '), text)
         self.assertNotIn('\n', text)
 
     def test_wrong_types_fields_and_names_are_refused(self):
@@ -375,7 +376,7 @@ class Mistakes(unittest.TestCase):
             self.assert_mistake('arduino/messages', 'pack', dict(battery, constants=constants),
                                 '/constants' + key)
         check({'arduino': {'messages': {'pack': dict(battery, constants={
-            'charge': float('nan'), 'cell_voltage[1]': 4, 'power_supply_status': 255})}}}, '/node')
+            'charge': float('nan'), 'cell_voltage[1]': 4, 'power_supply_status': 255})}}})
 
     def test_reserved_and_repeated_names_are_refused(self):
         for group, name, row in (
@@ -384,15 +385,15 @@ class Mistakes(unittest.TestCase):
             section, rows = group.split('/')
             given = {board: {'port': '/dev/' + board} for board in ('bus', 'arduino', 'mcu')}
             given[section][rows] = {name: row}
-            with self.assertRaisesRegex(ParameterError, f'/{name} is the name of .* and of '):
-                resolved_names(check(given, '/node')[0], given)
+            with self.assertRaisesRegex(NameTaken, f'/{name} is the name of .* and of '):
+                resolved_names(check(given)[1])
         given = {'arduino': {'port': '/dev/a', 'messages': {'both': FORCE}},
                  'bus': {'port': '/dev/b', 'functions': {'both': PUMP}}}
-        with self.assertRaisesRegex(ParameterError, '/both is the name of .* and of '):
-            resolved_names(check(given, '/node')[0], given)
+        with self.assertRaisesRegex(NameTaken, '/both is the name of .* and of '):
+            resolved_names(check(given)[1])
         # These names differ: mcu/imu is not ~imu, and a topic may have the name of a parameter.
         check({'arduino': {'messages': {'status': FORCE, 'port': dict(FORCE, type=33)}},
-               'mcu': {'messages': {'voltage': FORCE}}}, '/node')
+               'mcu': {'messages': {'voltage': FORCE}}})
 
 
 if __name__ == '__main__':

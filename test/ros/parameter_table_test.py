@@ -14,9 +14,13 @@ from unittest import mock
 import rosunit
 import yaml
 
-from serial_communication.ros.parameters import BUILT_IN, ParameterError, check, table
+from serial_communication.boards import descriptions
+from serial_communication.framing.rows import RowError
+from serial_communication.ros.parameters import NODE_PARAMETERS, check, parameters_of
 
-PARAMETERS = table(BUILT_IN)
+PARAMETERS = {**NODE_PARAMETERS, **{
+    f'{board.name}/{name}': parameter for board in descriptions()
+    for name, parameter in parameters_of(board.binder).items()}}
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), '..', '..', 'config',
                       'bridge.yaml')
 
@@ -57,9 +61,10 @@ class ParameterTable(unittest.TestCase):
                     self.assertEqual(isinstance(value, bool), isinstance(default, bool))
 
     def test_the_file_is_valid(self):
-        values, warnings = check(self.given, '/node')
-        self.assertEqual(warnings, [])
-        self.assertEqual(values['bus/port'], self.given['bus']['port'])
+        _node, boards, unknown = check(self.given)
+        self.assertEqual(unknown, [])
+        self.assertEqual([values['port'] for values in boards.values()],
+                         [self.given[link]['port'] for link in ('bus', 'arduino', 'mcu')])
 
     def test_ports_are_empty_by_default_and_set_in_the_file(self):
         for link in 'bus', 'arduino', 'mcu':
@@ -83,10 +88,10 @@ class ParameterTable(unittest.TestCase):
             group, _, own = name.rpartition('/')
             wrong = {'a': {}} if isinstance(parameter.default, list) else [1]
             with self.subTest(name):
-                with self.assertRaises(ParameterError) as caught:
-                    check({group: {own: wrong}} if group else {own: wrong}, '/node')
+                with self.assertRaises(RowError) as caught:
+                    check({group: {own: wrong}} if group else {own: wrong})
                 text = str(caught.exception)
-                self.assertIn('/node/%s is %r' % (name, wrong), text)
+                self.assertIn('%s is %r' % (name, wrong), text)
                 self.assertIn('may be ', text)
                 self.assertNotIn('\n', text)
 
@@ -98,25 +103,24 @@ class ParameterTable(unittest.TestCase):
             step = type(parameter.default)(1)
             for value in (parameter.low - step, parameter.high + step):
                 value = type(parameter.default)(value)
-                with self.subTest(name, value=value), self.assertRaises(ParameterError):
-                    check({group: {own: value}} if group else {own: value}, '/node')
+                with self.subTest(name, value=value), self.assertRaises(RowError):
+                    check({group: {own: value}} if group else {own: value})
 
     def test_a_whole_number_is_accepted_for_a_float(self):
-        values, _warnings = check({'bus': {'reply_timeout': 2}}, '/node')
-        self.assertEqual(repr(values['bus/reply_timeout']), '2.0')
+        bus, *_others = check({'bus': {'reply_timeout': 2}})[1].values()
+        self.assertEqual(repr(bus['reply_timeout']), '2.0')
 
 
 class ExternalBoards(unittest.TestCase):
     """Boards of other packages."""
 
     BOARD = """
-from serial_communication.ros.interface import Interface
-from serial_communication.ros.parameter import PORT, Parameter
+from serial_communication.ros.binder import Binder
+from . import DESCRIPTION
 
 
-class INTERFACE(Interface):
-    NAME = 'wind'
-    PARAMETERS = {'port': PORT, 'baud': Parameter(115200)}
+class BoardBinder(Binder):
+    BOARD = DESCRIPTION
 """
     NUMBERS = itertools.count()
 
@@ -128,28 +132,29 @@ class INTERFACE(Interface):
         path.start()
         self.addCleanup(path.stop)
 
-    def board(self, interface):
+    def board(self, binder):
         """Create a package with this ros.py; return its import name."""
         package = Path(self.folder, f'external_board_{next(self.NUMBERS)}')
         package.mkdir()
         (package / '__init__.py').write_text(
             'from serial_communication.boards.description import Description\n'
             "DESCRIPTION = Description('wind', __name__, None)\n")
-        (package / 'ros.py').write_text(interface)
+        (package / 'ros.py').write_text(binder)
         return package.name
 
     def test_a_board_is_accepted_and_what_its_import_raises_passes(self):
         with self.assertRaises(ZeroDivisionError):
-            check({'boards': [self.board('1 / 0')]}, '/node')
+            check({'boards': [self.board('1 / 0')]})
         with self.assertRaises(ImportError):
-            check({'boards': ['no.such']}, '/node')
+            check({'boards': ['no.such']})
         for boards in ['x', 5], {'a': 'b'}, 'x', [['x']]:
-            with self.assertRaisesRegex(ParameterError, r'may be a list \(names of Python'):
-                check({'boards': boards}, '/node')
+            with self.assertRaisesRegex(RowError, r'may be a list \(names of Python'):
+                check({'boards': boards})
         one = self.board(self.BOARD)
-        values, warnings = check({'boards': [one], 'wind': {'baud': 9600}}, '/node')
-        self.assertEqual((values['boards'][-1].NAME, values['wind/baud'], warnings),
-                         ('wind', 9600, []))
+        _node, boards, unknown = check({'boards': [one], 'wind': {'baud': 9600, 'own': 1}})
+        binder, values = boards.popitem()
+        self.assertEqual((binder.BOARD.name, values['baud'], unknown),
+                         ('wind', 9600, ['wind/own']))
 
 
 class Lines(unittest.TestCase):
@@ -161,13 +166,11 @@ class Lines(unittest.TestCase):
             os.symlink('/dev/null', link)
             for one, other in (('/dev/null', '/dev/null'), ('/dev/null', link),
                                ('socket://a:1', 'SOCKET://A:1')):
-                with self.subTest(other), self.assertRaises(ParameterError) as caught:
-                    check({'bus': {'port': one}, 'mcu': {'port': other, 'baud': 9600}}, '/node')
-                self.assertEqual(str(caught.exception), f"parameter /node/mcu/port is '{other}', "
-                                 f"which is also the port of /node/bus/port ('{one}'); each link "
-                                 'needs its own port')
-        check({'bus': {'port': 'loop://'}, 'mcu': {'port': 'loop://'}, 'arduino': {'port': ''}},
-              '/node')
+                with self.subTest(other), self.assertRaises(RowError) as caught:
+                    check({'bus': {'port': one}, 'mcu': {'port': other, 'baud': 9600}})
+                self.assertEqual(str(caught.exception), f"mcu/port is '{other}' (str), is also the "
+                                 'port of bus; each link needs its own')
+        check({'bus': {'port': 'loop://'}, 'mcu': {'port': 'loop://'}, 'arduino': {'port': ''}})
 
 
 if __name__ == '__main__':

@@ -95,8 +95,8 @@ class Names(unittest.TestCase):
         services = self.expected(links, self.SERVICES) | {
             '/bridge/%s/%s' % (link, name) for link in links for name in ('release', 'reset')} | {
             '/bridge/stop'}
-        until(lambda: self.seen()[2] >= services and '/diagnostics' in self.seen()[0]
-              if links else True, 'services of %s' % (links,))
+        until(lambda: self.seen()[2] >= services and (
+            '/diagnostics' in self.seen()[0] or not links), 'services of %s' % (links,))
         published, subscribed, served = self.seen()
         self.assertEqual(published - self.OF_ROS - {'/diagnostics'},
                          self.expected(links, self.TOPICS) | {'/serial_msg'})

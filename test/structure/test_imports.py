@@ -33,7 +33,7 @@ ALLOWED: Dict[str, Set[str]] = {
 WITH_ROS = ('ros', 'tools', 'X/ros')
 WITHOUT_IO = ('framing', 'X/wire', 'X/__init__')
 ROS = {'rospy', 'roslib', 'rospkg', 'rosgraph', 'roslaunch', 'rosbag', 'tf', 'tf2_ros', 'genpy',
-       'diagnostic_updater', 'dynamic_reconfigure'}
+       'dynamic_reconfigure'}
 IO = {'io', 'logging', 'os', 'queue', 'random', 'select', 'serial', 'signal', 'socket',
       'subprocess', 'sys', 'termios', 'threading', 'time'}
 

@@ -51,5 +51,5 @@ DESCRIPTION = Description(
         Service('~arduino/reset', 'std_srvs/Trigger', 'reset the car', confirm=(
             'The car stops, and its board starts anew.'))),
     longest_gap=LONGEST_GAP,
-    between=b'\0',
-    network_silence=1.5)
+    reset_line='dtr',
+    between=b'\0')

@@ -7,15 +7,12 @@ from sensor_msgs.msg import Temperature
 from std_msgs.msg import Bool, Header
 from std_srvs.srv import Empty, EmptyResponse
 
-from ...link.link import Link
 from ...link.outcome import Refused
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
-from ...ros.interface import Interface, link_arguments
 from ...ros.logs import sparing_log
-from ...ros.parameter import MOUNT, RESET_LINE, Parameter, frame_id, seconds
-from ...ros.publishing import publisher, wanted
-from ...ros.rows import board_parameters
+from ...ros.parameters import MOUNT, Parameter, frame_id, seconds
+from ...ros.publishing import has_subscribers, publisher
 from . import DESCRIPTION, wire
 from .session import CarOptions, CarSession
 
@@ -23,14 +20,12 @@ _DEFAULTS = CarOptions()
 _LOG_FUNCTIONS = (rospy.logdebug, rospy.loginfo, rospy.logwarn, rospy.logerr)    # by severity
 
 
-class ArduinoInterface(Interface):
+class BoardBinder(Binder):
     """Publishes the measurements that no row describes, and calibrates."""
 
-    NAME = DESCRIPTION.name
+    BOARD = DESCRIPTION
     PARAMETERS = {
-        **board_parameters(DESCRIPTION),
         'reset_on_open': Parameter(False),
-        'reset_line': RESET_LINE._replace(default='dtr'),
         # At 34 Hz a heartbeat is sent every 29 ms; the board stops its motor after 30 ms without.
         'heartbeat_rate': Parameter(_DEFAULTS.heartbeat_rate, 34.0, 1000.0, unit='Hz'),
         'speed_timeout': seconds(_DEFAULTS.speed_timeout, 0.0, 3600.0),
@@ -48,8 +43,6 @@ class ArduinoInterface(Interface):
         'imu_orientation_frame_id': frame_id('imu_orientation'),
         'imu_mount': MOUNT,
     }
-    MOUNTS = ('imu',)
-    binder: Binder
 
     def __init__(self, p: Dict[str, Any]) -> None:
         self._gyro_scale = p['gyro_scale']
@@ -60,12 +53,10 @@ class ArduinoInterface(Interface):
         self._calibrating = publisher('~imu/calibrating', Bool, latch=True)
         self._calibrating.publish(False)
         options = CarOptions(**{name: p[name] for name in CarOptions._fields})
-        session = CarSession(
-            sparing_log(self.NAME), options, on_message=self._received,
+        super().__init__(CarSession(
+            sparing_log(DESCRIPTION.name), options, on_message=self._received,
             on_log=lambda severity, text: _LOG_FUNCTIONS[severity]('arduino says: %s', text),
-            on_calibrating=self._calibrating.publish, byte_time=10.0 / p['baud'])
-        self.link = Link(session=session, **link_arguments(p))
-        self.binder = Binder(DESCRIPTION, self.link, p)
+            on_calibrating=self._calibrating.publish, byte_time=10.0 / p['baud']), p)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
 
     def _calibrate(self, _request: Any) -> EmptyResponse:
@@ -77,14 +68,11 @@ class ArduinoInterface(Interface):
 
     def _received(self, message: Any, stamp: rospy.Time) -> None:
         if type(message) is not wire.Imu:
-            self.binder.publish(message, stamp)
+            self.publish(message, stamp)
             return
-        if self._imu.is_wanted:
+        if self._imu.has_subscribers:
             self._imu.send(stamp, message.orientation(),
                            message.angular_velocity(self._gyro_scale),
                            message.linear_acceleration())
-        if wanted(self._temperature):
+        if has_subscribers(self._temperature):
             self._temperature.publish(Header(0, stamp, self._frame_id), message.temperature(), 0.0)
-
-
-INTERFACE = ArduinoInterface

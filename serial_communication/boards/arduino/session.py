@@ -36,7 +36,7 @@ class CarOptions(NamedTuple):
     speed_timeout: float = 0.5           # of each motion; 0: never
     calibration_timeout: float = 900.0   # after this time a calibration counts as over
     check_plausibility: bool = True
-    network_silence: float = DESCRIPTION.network_silence
+    network_silence: float = 1.5         # of a port that hides what it has not sent; 0: never
 
 
 class CarSession(Session):
@@ -52,7 +52,6 @@ class CarSession(Session):
     """
 
     NAME = DESCRIPTION.name
-    STOPS_FIRST = True
     board_settings: BoardSettings
     BEATS = True
 

@@ -12,25 +12,24 @@ from serial_communication.srv import (BusRequest, BusRequestResponse, GetEnviron
                                       GetEnvironmentResponse)
 
 from ...link.outcome import Outcome
-from ...ros.answers import fill_response
+from ...ros.fields import fill_response
 from ...ros.binder import Binder
-from ...ros.interface import Interface, link_arguments
 from ...ros.logs import sparing_log
-from ...ros.parameter import Parameter, seconds
+from ...ros.parameters import Parameter, seconds
 from ...ros.publishing import publisher
-from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
 from .link import BusLink, MasterOptions, MasterSession
 
 _DEFAULTS = MasterOptions()
 
 
-class BusInterface(Interface):
+class BoardBinder(Binder):
     """Offers services and publishes readings."""
 
-    NAME = DESCRIPTION.name
+    BOARD = DESCRIPTION
+    LINK = BusLink
     PARAMETERS = {
-        **board_parameters(DESCRIPTION, _DEFAULTS.announcements),
+        'announcements': Parameter(_DEFAULTS.announcements),
         'reply_timeout': seconds(_DEFAULTS.reply_timeout, 0.01, 60.0),
         'motion_timeout': seconds(_DEFAULTS.motion_timeout, 0.01, 600.0),
         'retries': Parameter(_DEFAULTS.retries, 0, 100),
@@ -39,23 +38,23 @@ class BusInterface(Interface):
         'reply_has_cmd2': Parameter(_DEFAULTS.reply_has_cmd2),
         'echo': Parameter(_DEFAULTS.echo),
     }
-    link: BusLink
 
     def __init__(self, p: Dict[str, Any]) -> None:
-        session = MasterSession(sparing_log(self.NAME), MasterOptions(
+        session = MasterSession(sparing_log(DESCRIPTION.name), MasterOptions(
             **{name: p[name] for name in MasterOptions._fields}))
         if p['environment_period']:
             session.polls.add(wire.ENVIRONMENT_FUNCTION, p['environment_period'],
                               self._publish_environment)
-        self.link = BusLink(session=session, **link_arguments(p))
-        self.binder = Binder(DESCRIPTION, self.link, p)
+        super().__init__(session, p)
         self._environment = publisher('~environment', Environment)
         self._temperature = publisher('~environment/temperature', Temperature)
         self._humidity = publisher('~environment/humidity', RelativeHumidity)
         self._frame_id = p['base_frame_id']
         rospy.Service('~get_environment', GetEnvironment, self._get_environment)
-        rospy.Service('~bus/echo', Trigger, self._echo)
-        rospy.Service('~bus/sync', Trigger, self._sync)
+        rospy.Service('~bus/echo', Trigger, lambda _request: self._trigger(
+            wire.echo(os.urandom(4)), wire.ECHO_FUNCTION))
+        rospy.Service('~bus/sync', Trigger, lambda _request: self._trigger(
+            wire.SYNC_REQUEST, wire.SYNC_FUNCTION))
         rospy.Service('~bus/request', BusRequest, self._request)
 
     def _get_environment(self, _request: Any) -> GetEnvironmentResponse:
@@ -74,19 +73,11 @@ class BusInterface(Interface):
         response.data = outcome.data
         return response
 
-    def _echo(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.request(wire.echo(os.urandom(4)), wire.ECHO_FUNCTION)
-        return self._trigger(outcome, f'{outcome.round_trip * 1e3:.2f} ms')
-
-    def _sync(self, _request: Any) -> TriggerResponse:
-        outcome = self.link.request(wire.SYNC_REQUEST, wire.SYNC_FUNCTION)
-        return self._trigger(outcome, 'synchronised')
-
-    @staticmethod
-    def _trigger(outcome: Outcome, done: str) -> TriggerResponse:
+    def _trigger(self, request: wire.Request, function: wire.Function) -> TriggerResponse:
+        outcome = self.link.request(request, function)
         response = fill_response(TriggerResponse(), outcome)
         if outcome.success:
-            response.message = done
+            response.message = f'{outcome.round_trip * 1e3:.2f} ms'
         return response
 
     def _publish_environment(self, outcome: Outcome) -> None:
@@ -98,6 +89,3 @@ class BusInterface(Interface):
     def _message(self, outcome: Outcome) -> Environment:
         header = Header(0, outcome.stamp, self._frame_id)
         return Environment(header, *wire.Environment.unpack(outcome.data))
-
-
-INTERFACE = BusInterface

@@ -32,4 +32,5 @@ DESCRIPTION = Description(
         Topic('mcu/range_1', 'sensor_msgs/Range', card='Ranges'),
         Topic('mcu/range_2', 'sensor_msgs/Range', card='Ranges')),
     services=(Service('~mcu/reset', 'std_srvs/Trigger', 'reset the sensor board', confirm=(
-        'The board starts anew; its measurements are missing until then.')),))
+        'The board starts anew; its measurements are missing until then.')),),
+    reset_line='rts')

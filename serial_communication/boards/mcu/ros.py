@@ -10,27 +10,23 @@ from serial_communication.msg import McuStatus, McuStatus2
 
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
-from ...link.link import Link
+from ...framing.rows import RowError
 from ...ros.binder import Binder
 from ...ros.imu import ImuTopic
-from ...ros.interface import Interface, link_arguments
 from ...ros.logs import sparing_log
-from ...ros.parameter import MOUNT, RESET_LINE, Parameter, ParameterError, frame_id, seconds
-from ...ros.publishing import publisher, wanted
-from ...ros.rows import board_parameters
+from ...ros.parameters import MOUNT, Parameter, frame_id, seconds
+from ...ros.publishing import has_subscribers, publisher
 from . import DESCRIPTION, wire
 from .session import SensorSession
 
 _NOT_CONNECTED = 0xFFFF   # in place of a reading; no sensor measures it
 
 
-class McuInterface(Interface):
+class BoardBinder(Binder):
     """Publishes measurements, and the status of a silent board."""
 
-    NAME = DESCRIPTION.name
+    BOARD = DESCRIPTION
     PARAMETERS = {
-        **board_parameters(DESCRIPTION),
-        'reset_line': RESET_LINE._replace(default='rts'),
         'timeout': seconds(1.0, 0.01, 3600.0),
         'network_silence': seconds(5.0, 0.0, 3600.0),
         'yaw_clockwise': Parameter(True),
@@ -48,55 +44,51 @@ class McuInterface(Interface):
         'range_1_mount': MOUNT,
         'range_2_mount': MOUNT,
     }
-    MOUNTS = ('imu', 'range_1', 'range_2')
-    binder: Binder
 
     def __init__(self, p: Dict[str, Any]) -> None:
         if p['min_range'] >= p['max_range']:
-            raise ParameterError(f'parameter {rospy.resolve_name("~mcu/min_range")} is '
-                                 f'{p["min_range"]:g} m, has to be less than mcu/max_range, which '
-                                 f'is {p["max_range"]:g} m')
+            raise RowError('mcu/min_range', p['min_range'], 'has to be less than mcu/max_range, '
+                           f'which is {p["max_range"]:g} m')
         self._turn = -1.0 if p['yaw_clockwise'] else 1.0
         self._ranges = [(publisher(f'mcu/{name}', Range), Range(
             Header(frame_id=p[f'{name}_frame_id']), Range.INFRARED, p['field_of_view'],
             p['min_range'], p['max_range'], nan)) for name in ('range_1', 'range_2')]
-        self._status = publisher('mcu/status', McuStatus2)
-        self._adc_status = publisher('mcu/adc_status', McuStatus)
+        # By class of message: the topic, and what it has in place of readings.
+        self._statuses = {
+            wire.SensorStatus: (publisher('mcu/status', McuStatus2),
+                                (_NOT_CONNECTED, _NOT_CONNECTED, nan, nan, nan)),
+            wire.AdcStatus: (publisher('mcu/adc_status', McuStatus), [_NOT_CONNECTED] * 6)}
         self._imu = ImuTopic('mcu/imu', p)
         self._session = SensorSession(
-            sparing_log(self.NAME), p['timeout'], on_status=self._received,
+            sparing_log(DESCRIPTION.name), p['timeout'], on_status=self._received,
             on_silence=self._silent, network_silence=p['network_silence'])
-        self.link = Link(session=self._session, **link_arguments(p))
-        self.binder = Binder(DESCRIPTION, self.link, p)
+        super().__init__(self._session, p)
 
     def _received(self, message: Any, seq: int, stamp: rospy.Time) -> None:
-        if message.TYPE not in wire.MESSAGES:
-            self.binder.publish(message, stamp)
+        if type(message) not in self._statuses:
+            self.publish(message, stamp)
             return
-        now = self.link.now()
-        is_adc = type(message) is wire.AdcStatus
-        (self._adc_status if is_adc else self._status).publish(
+        now, is_adc = self.link.now(), type(message) is wire.AdcStatus
+        self._statuses[type(message)][0].publish(
             stamp, seq, True, is_adc or message.valid, self._session.checksum_errors,
             now - (self._session.presence.frame_at or now), *message)
         if is_adc:
             return
         for (topic, out), millimetres in zip(self._ranges, message[:2]):
-            if wanted(topic):
+            if has_subscribers(topic):
                 out.header.stamp = stamp
                 out.range = _metres(millimetres, out.min_range, out.max_range)
                 topic.publish(out)
-        if message.angles_known and self._imu.is_wanted:
+        if message.angles_known and self._imu.has_subscribers:
             self._imu.send(stamp, quaternion(radians(message.roll), radians(message.pitch),
                                              radians(message.yaw) * self._turn))
 
     def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
-        if kind and kind.TYPE not in wire.MESSAGES:
-            return      # custom messages have no status: their topics are silent, too
-        head = (rospy.Time.now(), seq, False, False, self._session.checksum_errors, age)
-        if kind is wire.AdcStatus:
-            self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)
-        else:
-            self._status.publish(*head, _NOT_CONNECTED, _NOT_CONNECTED, nan, nan, nan)
+        kind = kind or wire.SensorStatus
+        if kind in self._statuses:      # custom messages have none: their topics are silent, too
+            topic, readings = self._statuses[kind]
+            topic.publish(rospy.Time.now(), seq, False, False, self._session.checksum_errors, age,
+                          *readings)
 
 
 def _metres(millimetres: int, low: float, high: float) -> float:
@@ -105,6 +97,3 @@ def _metres(millimetres: int, low: float, high: float) -> float:
         return nan
     metres = millimetres / 1000
     return -inf if metres < low else inf if metres > high else metres
-
-
-INTERFACE = McuInterface

@@ -19,7 +19,7 @@ from std_srvs.srv import SetBool, SetBoolRequest
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 
 from ...boards.arduino.wire import LED_LIMIT, SPEED_LIMIT
-from ...ros.answers import outcome_fields
+from ...ros.fields import outcome_fields
 from ...ros.background import LatestWorker
 from ...ros.settings import request_of, value_in
 from ..watch.calls import MOST_WAIT, Answer, Verdict, call

@@ -9,7 +9,7 @@ import rospy
 from rospy.exceptions import TransportException, TransportInitError
 
 from ...link.outcome import LOOK, NOT_SENT
-from ...ros.answers import outcome_fields
+from ...ros.fields import outcome_fields
 from .topics import NODE
 
 MOST_WAIT = 2.0     # s for the bridge to answer

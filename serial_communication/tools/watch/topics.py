@@ -10,7 +10,7 @@ from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
 from ...boards import BOARDS, description, descriptions
 from ...boards.config_file import board_packages, board_parameters
-from ...boards.description import ANNOUNCED, Description
+from ...boards.description import ANNOUNCED_GROUP, Description
 from ...framing.layout import BOARD_TIME
 from ...framing.row_reader import Group
 
@@ -182,9 +182,9 @@ def given_rows(board: Description, parameters: Any) -> List[Tuple[Group, str, Di
     groups and names."""
     given = board_parameters(parameters, board.name)
     found = {(group.parameter, name): (group, name, row)
-             for rows in (ANNOUNCED, *(group.parameter for group in board.groups))
+             for rows in (ANNOUNCED_GROUP, *(group.parameter for group in board.groups))
              for name, row in _group(given.get(rows)).items() if isinstance(row, dict)
-             for group in [board.group_of(row)] if rows in (ANNOUNCED, group.parameter)}
+             for group in [board.group_of(row)] if rows in (ANNOUNCED_GROUP, group.parameter)}
     return list(found.values())
 
 

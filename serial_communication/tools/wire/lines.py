@@ -2,7 +2,7 @@
 import argparse
 from typing import Any, Mapping, NamedTuple
 
-from ...boards import BOARDS, BoardError, find
+from ...boards import BOARDS, BoardError, description
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...boards.description import Description
 from ...framing.stream import Decoder
@@ -60,7 +60,9 @@ def settings(options: argparse.Namespace) -> Settings:
     """
     try:
         parameters = read_parameters(options.config) if options.config else {}
-        board = find(options.link, board_packages(parameters))
+        others = () if options.link in BOARDS else map(description, board_packages(parameters))
+        board = next((each for each in others if each.name == options.link), None) \
+            or description(options.link)
         own = board_parameters(parameters, board.name)
         line = Settings(board, options.baud or board.baud_of(own), own)
         decoder(line, False)
