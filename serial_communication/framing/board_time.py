@@ -6,7 +6,8 @@ only ever add, and the two clocks differ by a rate that hardly changes. So the l
 delayed least, and gives the time of all others.
 
 A damaged value that seems ahead would hold the line down until the window is over. So a point that
-is out of place is doubted: it is dropped, unless the next one is out of place by the same.
+is out of place is doubted: it is dropped, unless the next one is out of place by the same. The first
+one counts only with another one near its line.
 
 Sources: E. Olson, "A Passive Solution to the Sensor Synchronization Problem", IROS 2010;
 ethz-asl/cuckoo_time_translator, whose ConvexHullOwt uses the edge in the middle.
@@ -47,7 +48,7 @@ class BoardClock:
         self._least: _Point = (0.0, 0.0)           # delayed least since the line was drawn
         self._least_delay = inf
         self._points = 0
-        self._is_known = False
+        self._is_known = self._is_confirmed = False
         self._doubted: Optional[Tuple[int, float]] = None     # ticks, arrival of the latest point
         self._ticks = 0                            # of the newest point
         self._newest: _Point = (0.0, -inf)         # board times are from the first point on
@@ -81,9 +82,6 @@ class BoardClock:
         drift = MOST_DRIFT * elapsed
         has_jumped = late > drift + (MOST_JUMP if self._is_known else LEAST_JUMP) \
             or step < 0.0 and late > LEAST_JUMP or delay < -LEAST_JUMP
-        if self._points == 1 and step >= 0.0 and delay > MOST_BELOW + drift:
-            self._begin(ticks, arrival)     # the first one may be damaged: nothing confirms it
-            return None
         before, self._doubted = self._doubted, None
         if has_jumped or delay < -MOST_BELOW - drift:
             self._doubted = ticks, arrival
@@ -117,6 +115,7 @@ class BoardClock:
         """Add the newest point."""
         self._ticks = ticks
         self._newest = point
+        self._is_confirmed |= self._points > 0 and delay < MOST_BELOW
         if delay < self._least_delay:
             self._least_delay = delay
             self._least = point
@@ -139,6 +138,9 @@ class BoardClock:
         while len(hull) > 2 and hull[1][0] < board - WINDOW:     # its edge is below no point
             del hull[0]
         if self._points < LEAST_POINTS or board < LEAST_SPAN:
+            return
+        if not self._is_confirmed:     # the first point may be damaged: all others are later
+            self.reset()
             return
         self._is_known = True
         self._drawn_until = board + DRAWN_EVERY

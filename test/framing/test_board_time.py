@@ -289,7 +289,7 @@ def test_old_points_are_forgotten():
 
 @pytest.mark.parametrize('ahead', [0.01, 0.03, 0.3])
 def test_a_first_time_that_is_ahead_makes_no_other_time_early(ahead):
-    """Nothing confirms it: the second one takes its place."""
+    """Nothing confirms it, so all begins again without it."""
     clock, board = BoardClock(), Board(drift=0.002)
     for index in range(300):
         true, ticks = board.measure()
