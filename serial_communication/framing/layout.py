@@ -329,6 +329,7 @@ class LayoutMessage(tuple):
     LABEL: str
     LAYOUT: Layout
     ANNOUNCED = False      # the board announces this message itself
+    NUMBER = b''           # of a setting: the first byte of its data
     TICKS_AT: Optional[int] = None     # index of its value `BOARD_TIME`; None: it has none
 
     @classmethod
@@ -340,11 +341,6 @@ class LayoutMessage(tuple):
 
     def implausible(self) -> str:
         return self.LAYOUT.implausible(self)
-
-    @classmethod
-    def layout_of(cls, data: bytes) -> Layout:
-        """The layout that these data should have."""
-        return cls.LAYOUT
 
     def __str__(self) -> str:
         return f'{self.LABEL} {self.LAYOUT.text(self)}'.rstrip()
@@ -371,9 +367,9 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
         'TICKS_AT': names.index(BOARD_TIME) if BOARD_TIME in names else None})
 
 
-def by_type(*kinds: Any) -> Dict[int, Any]:
-    """Message classes by their types."""
-    return {kind.TYPE: kind for kind in kinds}
+def by_type(*kinds: Any) -> Dict[Any, Any]:
+    """Message classes by their types, those of settings by their numbers."""
+    return {kind.NUMBER or kind.TYPE: kind for kind in kinds}
 
 
 def readable(text: str) -> str:

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Sequence, Tuple, Union
 
 from ...framing import announcement
-from ...framing.layout import Layout, LayoutMessage, Value
+from ...framing.layout import Layout, Value, message_class
 from ...framing.rows import Kind, Row
-from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, Bad, Good, Need,
-                               StreamDecoder, running_xor)
+from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, Frame, StreamDecoder, frame_of,
+                               invalid_frame, running_xor)
 
 STANDARD_FLAG = 0xA5
 LONG_FLAG = 0x5A
@@ -93,24 +93,14 @@ class Reply(namedtuple('Reply', 'cmd1 data cmd2', defaults=(b'', 0))):
         if self.cmd1 in (ERROR, INVALID):
             return f'{name} {describe_error(self.error_code)}'
         if self.cmd1 == OK and len(self.data) == Environment.LAYOUT.size:
-            return f'OK {self.data.hex()} (if environment: {Environment.unpack(self.data)})'
+            return f'OK {self.data.hex()} (if it is {Environment.unpack(self.data)})'
         return f'{name} {self.data.hex()}'.rstrip()
 
 
-class Environment(LayoutMessage, namedtuple('Environment', 'smoke temperature humidity')):
-    """The DATE of an OK reply to the environment request: smoke raw, the rest in steps of 0.01."""
-
-    __slots__ = ()
-    LAYOUT = Layout('<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
-                             Value('humidity', '%', 0.01)])
-
-    @classmethod
-    def unpack(cls, data: bytes) -> 'Environment':
-        smoke, temperature, humidity = cls.LAYOUT.raw(data)
-        return cls(smoke, temperature / 100, humidity / 100)
-
-    def __str__(self) -> str:
-        return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'
+# The DATE of an OK reply to the environment request.
+Environment = message_class(
+    'Environment', ENVIRONMENT, '<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
+                                         Value('humidity', '%', 0.01)], 'environment')
 
 
 def describe_error(code: int) -> str:
@@ -159,14 +149,10 @@ class Function(Row):
             return LENGTH, f'{size} bytes of data, {self.reply.sizes()} were expected'
         return IMPLAUSIBLE, self.reply.implausible(self.reply.unpack(reply.data))
 
-    def name_reply(self, reply: Reply) -> Reply:
-        """The same reply. If the function has a key, the text of an OK with fitting data has the
-        function's name."""
-        if not self.key or reply.cmd1 != OK or not self.reply.fits(len(reply.data)):
-            return reply
-        named = Reply(*reply)
-        named.text = f'{self.name} OK {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
-        return named
+    def name_reply(self, reply: Reply) -> None:
+        """If the function has a key, the text of an OK with fitting data has its name."""
+        if self.key and reply.cmd1 == OK and self.reply.fits(len(reply.data)):
+            reply.text = f'{self.name} OK {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
 
 
 def _move(name: str, cmd2: int, directions: Tuple[str, ...], amount: Value) -> Function:
@@ -259,32 +245,32 @@ class _Decoder(StreamDecoder):
     STARTS = bytes((STANDARD_FLAG, LONG_FLAG))
     _commands = 1
 
-    def _good(self, size: int, commands: bytes, data: bytes) -> Good:
+    def _whole(self, raw: bytes, commands: bytes, data: bytes) -> Frame:
         raise NotImplementedError
 
-    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
+    def frame_at(self, at: int) -> Union[Frame, int, None]:
         buffer = self.buffer
         left = len(buffer) - at
         if buffer[at] == STANDARD_FLAG:
             if left < 2:
-                return Need(2)
+                return 2
             header, length = 2, buffer[at + 1]
             is_invalid = length >= 255
         else:
             if left < 3:
-                return Need(3)
+                return 3
             header, length = 3, buffer[at + 1] | buffer[at + 2] << 8
             is_invalid = length < 255
         if is_invalid or length > MAX_LENGTH:
-            return NO_FRAME
+            return None
         size = header + self._commands + length + 1
         if left < size:
-            return Need(size)
+            return size
         end = at + size
         if self.xor(at, end):
-            return Bad(size, CHECKSUM, 'the checksum does not match')
+            return invalid_frame(buffer[at:end], CHECKSUM, 'the checksum does not match')
         data_at = end - 1 - length
-        return self._good(size, buffer[at + header:data_at], buffer[data_at:end - 1])
+        return self._whole(buffer[at:end], buffer[at + header:data_at], buffer[data_at:end - 1])
 
 
 class ReplyDecoder(_Decoder):
@@ -298,9 +284,9 @@ class ReplyDecoder(_Decoder):
         super().__init__()
         self._commands = 2 if has_cmd2 else 1
 
-    def _good(self, size: int, commands: bytes, data: bytes) -> Good:
+    def _whole(self, raw: bytes, commands: bytes, data: bytes) -> Frame:
         reply = Reply(commands[0], data, commands[1] if len(commands) > 1 else 0)
-        return Good(size, reply.cmd1, 0, data, reply)
+        return frame_of((raw, commands[0], 0, data, reply, None, '', '', None, 0))
 
 
 class RequestDecoder(_Decoder):
@@ -309,14 +295,14 @@ class RequestDecoder(_Decoder):
     _commands = 2
     _ENVIRONMENT = encode_request(ENVIRONMENT_REQUEST)
 
-    def _good(self, size: int, commands: bytes, data: bytes) -> Good:
-        return Good(size, commands[0], commands[1], data, Request(commands[0], commands[1], data))
+    def _whole(self, raw: bytes, commands: bytes, data: bytes) -> Frame:
+        return Frame(raw, commands[0], commands[1], data, Request(commands[0], commands[1], data))
 
-    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
+    def frame_at(self, at: int) -> Union[Frame, int, None]:
         begun = self.buffer[at:at + len(self._ENVIRONMENT)]
         if begun == self._ENVIRONMENT:
-            return self._good(len(begun), begun[2:4], b'')
+            return self._whole(begun, begun[2:4], b'')
         found = super().frame_at(at)
-        if isinstance(found, Need) and self._ENVIRONMENT.startswith(begun):
-            return Need(len(begun) + 1)
+        if isinstance(found, int) and self._ENVIRONMENT.startswith(begun):
+            return len(begun) + 1
         return found

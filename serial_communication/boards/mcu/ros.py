@@ -90,8 +90,6 @@ class McuInterface(Interface):
                                              radians(message.yaw) * self._turn))
 
     def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
-        if kind and kind.TYPE not in wire.MESSAGES:
-            return      # custom messages have no status: their topics are silent, too
         head = (rospy.Time.now(), seq, False, False, self._session.checksum_errors, age)
         if kind is wire.AdcStatus:
             self._adc_status.publish(*head, *[_NOT_CONNECTED] * 6)

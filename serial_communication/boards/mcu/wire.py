@@ -17,8 +17,8 @@ from ...framing.announcement import Chunk
 from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type,
                                message_class)
 from ...framing.rows import SettingMessage
-from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
-                               StreamDecoder, running_xor)
+from ...framing.stream import (CHECKSUM, FRAMING, IMPLAUSIBLE, LENGTH, UNKNOWN, Frame,
+                               StreamDecoder, invalid_frame, running_xor)
 
 STX = 0x02
 ETX = 0x03
@@ -108,16 +108,17 @@ def encode_raw(type_: int, seq: int, payload: bytes) -> bytes:
 
 
 class Decoder(StreamDecoder):
-    """Decodes what the board sends. The `message` of a frame of unknown TYPE is None.
+    """Decodes what the board sends.
 
     Args:
         messages: classes of custom messages: see `message_class`.
     """
 
+    CAUSES = CHECKSUM, FRAMING, UNKNOWN, LENGTH, IMPLAUSIBLE
     STARTS = bytes((STX,))
 
     def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
-        super().__init__(UNKNOWN, LENGTH, IMPLAUSIBLE)
+        super().__init__()
         self.messages = {**BUILT_IN, **by_type(*messages)}
 
     def _begin(self) -> None:
@@ -125,39 +126,25 @@ class Decoder(StreamDecoder):
         self._ticks: Optional[int] = None    # of a TIME that was the latest frame
         self._timed_seq = -1                 # the SEQ of the frame that it is for
 
-    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
+    def frame_at(self, at: int) -> Union[Frame, int, None]:
         buffer = self.buffer
         left = len(buffer) - at
         if left < 3:
-            return Need(3)
+            return 3
         length, type_ = buffer[at + 1], buffer[at + 2]
         if length < MIN_LEN or _LENS.get(type_, length) != length:
-            return NO_FRAME
+            return None
         size = length + 4
         if left < size:
-            return Need(size)
+            return size
         end = at + size
         if buffer[end - 1] != ETX:
-            return NO_FRAME
+            return None
         if self.xor(at + 2, end - 1):    # TYPE … CRC: 0 in a valid frame
-            return Bad(size, CHECKSUM, 'CRC does not match')
-        data = buffer[at + 4:end - 2]
-        seq, kind = buffer[at + 3], self.messages.get(type_)
+            return invalid_frame(buffer[at:end], CHECKSUM, 'CRC does not match')
+        seq, data = buffer[at + 3], buffer[at + 4:end - 2]
         ticks = self._ticks if seq == self._timed_seq else None
-        self._ticks, self._timed_seq = None, -1
-        if kind is None:
-            return Good(size, type_, seq, data, None)
-        try:
-            message = kind.unpack(data)
-        except struct.error:
-            return Good(size, type_, seq, data, None, LENGTH, f'{kind.LABEL} frame with '
-                        f'{len(data)} bytes of data where {kind.layout_of(data).sizes()} '
-                        'is right')
-        reason = message.implausible()
-        if reason:
-            return Good(size, type_, seq, data, None, IMPLAUSIBLE, f'{kind.LABEL}: {reason}')
-        if kind.TICKS_AT is not None:
-            ticks = message[kind.TICKS_AT]
-            if kind is Time:
-                self._ticks, self._timed_seq = ticks, (seq + 1) % 256
-        return Good(size, type_, seq, data, message, ticks=ticks)
+        frame = self.whole(buffer[at:end], type_, seq, data, ticks)
+        is_time = type_ == Time.TYPE and not frame.cause
+        self._ticks, self._timed_seq = frame.ticks, (seq + 1) % 256 if is_time else -1
+        return frame

@@ -17,7 +17,8 @@ def test_calls_have_outcomes_and_diagnostics(logger):
     for request in LIFT, bus.gimbal(3, 45), bus.Request(bus.FUNCTION, 0x30, b'\xa5\x5a'):
         assert steps.call(request).success
     reading = steps.call(bus.ENVIRONMENT_REQUEST, bus.ENVIRONMENT_FUNCTION)
-    assert bus.Environment.unpack(reading.data) == (350, 25.63, 48.12)
+    assert bus.Environment.unpack(reading.data) == pytest.approx(
+        (350, 25.63, 48.12))
     values = dict(steps.link.report(steps.port.time).values)
     assert values['timeouts'] == 0 and float(values['round trip p50 [ms]']) >= 0
     assert steps.link.report(steps.port.time)[:2] == (OK, 'ready')
@@ -29,7 +30,7 @@ def test_a_function_is_polled(logger):
     steps.link.session.polls.add(bus.ENVIRONMENT_FUNCTION, 1.0, lambda outcome: readings.append(
         (bus.Environment.unpack(outcome.data), outcome.stamp)))
     steps.run(5.5)
-    assert readings == [((350, 25.63, 48.12), 'stamp')] * 6
+    assert readings == [(pytest.approx((350, 25.63, 48.12)), 'stamp')] * 6
 
 
 @pytest.mark.parametrize('request_, is_slow', [
