@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fake_bus import lift
 from protocol_cases import (ALL, BOARD_BUS, BUS, BUS_CMD2, CHECKSUMMED, MCU, chunkings, decode,
                             errors_of, feed, give_up, held, name_of, random_chunks, valid)
 from serial_communication.boards.arduino import wire as arduino
@@ -169,7 +170,7 @@ def sample_wires(kind):
         return [mcu.encode(mcu.SensorStatus(47, 58, 0.0, -2.43, 2.43), 156),
                 mcu.encode(mcu.AdcStatus(0, 0, 15, 0, 543, 144), 2)]
     if kind is BOARD_BUS:
-        return [bus.encode_request(bus.lift(0, 100)), bus.encode_request(bus.ENVIRONMENT_REQUEST)]
+        return [bus.encode_request(lift(0, 100)), bus.encode_request(bus.ENVIRONMENT_REQUEST)]
     if kind in CHECKSUMMED:
         two = kind is not BUS
         return [bus.encode_reply(bus.Reply(bus.OK, b'\x5e\1\3\x0a\xcc\x12'), two),

@@ -64,14 +64,10 @@ class Request(namedtuple('Request', 'cmd1 cmd2 data', defaults=(0, b''))):
     text = ''     # of an own function's: its name and values
 
     def __str__(self) -> str:
-        if self.text:
-            return self.text
-        if self.cmd1 == SYNC:
-            return 'SYNC'
-        if self.cmd1 == ECHO:
-            return f'ECHO {self.data.hex()}'
-        text = built_in(self, RAW).describe(self.data)
-        return text or f'request 0x{self.cmd1:02x} 0x{self.cmd2:02x} {self.data.hex()}'
+        function = BUILT_IN.get(self[:2])
+        return self.text or (
+            function.describe(self.data) if function else
+            f'request 0x{self.cmd1:02x} 0x{self.cmd2:02x} {self.data.hex()}'.rstrip())
 
 
 class Reply(namedtuple('Reply', 'cmd1 data cmd2', defaults=(b'', 0))):
@@ -92,8 +88,6 @@ class Reply(namedtuple('Reply', 'cmd1 data cmd2', defaults=(b'', 0))):
         name = REPLY_NAMES.get(self.cmd1, f'reply 0x{self.cmd1:02x}')
         if self.cmd1 in (ERROR, INVALID):
             return f'{name} {describe_error(self.error_code)}'
-        if self.cmd1 == OK and len(self.data) == Environment.LAYOUT.size:
-            return f'OK {self.data.hex()} (if it is {Environment.unpack(self.data)})'
         return f'{name} {self.data.hex()}'.rstrip()
 
 
@@ -132,12 +126,10 @@ class Function(Row):
         return request
 
     def describe(self, data: bytes) -> str:
-        """A built-in request with this DATE in words; '' if it does not fit."""
-        if self is ENVIRONMENT_FUNCTION and not data:
-            return 'environment?'
+        """A built-in request with this DATE, in words."""
         if self.directions and len(data) == 2 and data[0] < len(self.directions):
             return f'{self.name} {self.directions[data[0]]} {data[1]} {self.layout.values[1].unit}'
-        return ''
+        return f'{self.name} {data.hex()}'.rstrip()
 
     def data_error(self, reply: Reply) -> Tuple[str, str]:
         """The cause, LENGTH or IMPLAUSIBLE, and what is wrong with the DATE of an OK; '' if nothing
@@ -150,8 +142,8 @@ class Function(Row):
         return IMPLAUSIBLE, self.reply.implausible(self.reply.unpack(reply.data))
 
     def name_reply(self, reply: Reply) -> None:
-        """If the function has a key, the text of an OK with fitting data has its name."""
-        if self.key and reply.cmd1 == OK and self.reply.fits(len(reply.data)):
+        """Let the text of an OK with fitting data have the function's name."""
+        if reply.cmd1 == OK and self.reply is not ANY_DATA and self.reply.fits(len(reply.data)):
             reply.text = f'{self.name} OK {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
 
 
@@ -162,8 +154,8 @@ def _move(name: str, cmd2: int, directions: Tuple[str, ...], amount: Value) -> F
 
 
 RAW = Function('raw', layout=ANY_DATA, reply=ANY_DATA)    # any request of ~bus/request
-SYNC_FUNCTION = Function('sync', cmd1=SYNC, reply=ANY_DATA, repeatable=True)
-ECHO_FUNCTION = Function('echo', cmd1=ECHO, layout=ANY_DATA, reply=ANY_DATA, repeatable=True)
+SYNC_FUNCTION = Function('SYNC', cmd1=SYNC, reply=ANY_DATA, repeatable=True)
+ECHO_FUNCTION = Function('ECHO', cmd1=ECHO, layout=ANY_DATA, reply=ANY_DATA, repeatable=True)
 LIFT_FUNCTION = _move('lift', LIFT, ('up', 'down'), Value('distance', 'mm'))
 GIMBAL_FUNCTION = _move('gimbal', GIMBAL, ('left', 'right', 'up', 'down'),
                         Value('angle', 'degrees'))
@@ -177,25 +169,8 @@ ANNOUNCEMENT = Function(
 BUILT_IN = {(function.cmd1, function.number): function for function in (
     SYNC_FUNCTION, ECHO_FUNCTION, LIFT_FUNCTION, GIMBAL_FUNCTION, ENVIRONMENT_FUNCTION,
     ANNOUNCEMENT)}
-
-
-def built_in(request: Request, otherwise: Function) -> Function:
-    """The built-in function that a request calls; else the other one."""
-    return BUILT_IN.get((request.cmd1, request.cmd2), otherwise)
-
-
 SYNC_REQUEST = SYNC_FUNCTION.make_request(())
 ENVIRONMENT_REQUEST = ENVIRONMENT_FUNCTION.make_request(())
-
-
-def lift(direction: int, distance: int) -> Request:
-    """A move of the lift: 0 up, 1 down; 0 … 255 mm. ValueError for any other value."""
-    return LIFT_FUNCTION.make_request((direction, distance))
-
-
-def gimbal(direction: int, angle: int) -> Request:
-    """A turn of the gimbal: 0 left, 1 right, 2 up, 3 down; 0 … 255 degrees. ValueError likewise."""
-    return GIMBAL_FUNCTION.make_request((direction, angle))
 
 
 def echo(data: bytes) -> Request:

@@ -74,12 +74,6 @@ class SensorStatus(LayoutMessage, namedtuple(
         """Whether all sensors answered."""
         return RANGE_TIMED_OUT not in (self.range_1, self.range_2) and self.angles_known
 
-    def __str__(self) -> str:
-        ranges = ' '.join('timed out' if value == RANGE_TIMED_OUT else f'{value} mm'
-                          for value in (self.range_1, self.range_2))
-        angles = f'yaw {self.yaw:.2f} pitch {self.pitch:.2f} roll {self.roll:.2f}'
-        return f"sensor status: {ranges}, {angles if self.angles_known else 'angles unknown'}"
-
 
 AdcStatus = message_class(
     'AdcStatus', 0x01, '<6H', [Value(f'adc{channel}') for channel in range(6)], 'ADC status',

@@ -3,18 +3,19 @@
 import pytest
 
 from steps import Bus
+from fake_bus import gimbal, lift
 from serial_communication.link.session import ERROR, OK
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.master import MasterOptions
 
-LIFT = bus.lift(0, 100)
+LIFT = lift(0, 100)
 
 
 def test_calls_have_outcomes_and_diagnostics(logger):
     steps = Bus(logger=logger).run(1.0)
     assert steps.requests[0] == bus.SYNC_REQUEST
-    for request in LIFT, bus.gimbal(3, 45), bus.Request(bus.FUNCTION, 0x30, b'\xa5\x5a'):
+    for request in LIFT, gimbal(3, 45), bus.Request(bus.FUNCTION, 0x30, b'\xa5\x5a'):
         assert steps.call(request).success
     reading = steps.call(bus.ENVIRONMENT_REQUEST, bus.ENVIRONMENT_FUNCTION)
     assert bus.Environment.unpack(reading.data) == pytest.approx(
@@ -34,7 +35,7 @@ def test_a_function_is_polled(logger):
 
 
 @pytest.mark.parametrize('request_, is_slow', [
-    (LIFT, True), (bus.gimbal(0, 1), True), (bus.Request(bus.FUNCTION, 0x30), False),
+    (LIFT, True), (gimbal(0, 1), True), (bus.Request(bus.FUNCTION, 0x30), False),
     (bus.Request(0x0C, bus.LIFT), False)], ids=str)
 def test_only_lift_and_gimbal_have_the_motion_timeout(logger, request_, is_slow):
     """In a call of its own and in a raw request."""
@@ -46,9 +47,9 @@ def test_only_lift_and_gimbal_have_the_motion_timeout(logger, request_, is_slow)
 
 
 def test_invalid_arguments_are_refused_without_sending(logger):
-    for make, said in ((bus.lift, 'lift: direction is 4'), (bus.gimbal, 'angle is 256')):
+    for make, said in ((lift, 'lift: direction is 4'), (gimbal, 'angle is 256')):
         with pytest.raises(ValueError, match=said):
-            make(*((4, 10) if make is bus.lift else (0, 256)))
+            make(*((4, 10) if make is lift else (0, 256)))
     outcome = Bus(logger=logger).run(1.0).link.request(bus.Request(1, 0, bytes(1025)))
     assert outcome.status == NOT_SENT and '1025' in outcome.message
     assert 'nothing was sent' in outcome.message
