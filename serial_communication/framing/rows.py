@@ -95,11 +95,9 @@ class Row:
                 continue
             if not isfinite(given):
                 return [0] * len(sent), f'{self.name}: {value.name} is {given}, sent 0'
-            least, most = value.range
-            low, high = value.limits
+            (least, most), (low, high) = value.range, value.limits
             if not max(low, least) <= given <= min(high, most):
-                sent[index] = max(value.minimum, least) if given < low or given < least else \
-                    min(value.maximum, most)
+                sent[index] = min(max(given, value.minimum, least), value.maximum, most)
                 why = (f'{self.name}: {value.name} is {given:.6g}, out of range, '
                        f'sent {sent[index]:.6g}')
         return sent, why

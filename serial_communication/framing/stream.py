@@ -111,23 +111,22 @@ class Decoder:
         kind = self.messages.get(type_)
         if type_ == SETTING:
             kind = self.messages.get(data[:1], kind)
-        message, cause, error = None, '', ''
         if kind is None:
             cause, error = UNKNOWN, f'type {type_} is unknown'
         else:
             try:
                 message = kind.unpack(data)
                 why = type_ not in self.unchecked and message.implausible()
-                if kind.TICKS_AT is not None:
-                    ticks = message[kind.TICKS_AT]
-                if why:
-                    cause, error = IMPLAUSIBLE, f'{kind.LABEL}: {why}'
+                if not why:
+                    if kind.TICKS_AT is not None:
+                        ticks = message[kind.TICKS_AT]
+                    return frame_of(
+                        (raw, type_, number, data, message, stamp, '', '', ticks, behind))
+                cause, error = IMPLAUSIBLE, f'{kind.LABEL}: {why}'
             except struct.error:
                 cause, error = LENGTH, (f'{kind.LABEL} with {len(data)} bytes of data where '
                                         f'{kind.LAYOUT.sizes()} is right')
-        if cause:
-            message = ticks = None
-        return frame_of((raw, type_, number, data, message, stamp, cause, error, ticks, behind))
+        return Frame(raw, type_, number, data, None, stamp, cause, error, None, behind)
 
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
         """Decode the bytes of one read; return the frames, valid and invalid, now complete."""
@@ -263,7 +262,7 @@ class StreamDecoder(Decoder):
         # The search goes on at the second byte.
         frames = self._search(1 if self.buffer else 0)
         if not self.buffer:
-            self._end_noise(0)
+            self._add_noise(0, True)
         return frames
 
     # -- for subclasses ---------------------------------------------------------------
@@ -304,7 +303,7 @@ class StreamDecoder(Decoder):
                 # The length may be false, too: two equal frames inside do not change an XOR.
                 at += 1 if found.cause in (CHECKSUM, LENGTH) else len(found.raw)
         if self._classified < self.front + at:
-            self._add_noise(at)
+            self._add_noise(at, False)
         self.front += at
         self.needed = need
         self.buffer = buffer[at:]
@@ -317,7 +316,7 @@ class StreamDecoder(Decoder):
     def _add(self, start: int, frame: Frame) -> None:
         """Add the frame that begins at `start`."""
         if self._noise or self._classified < self.front + start:
-            self._end_noise(start)
+            self._add_noise(start, True)
         raw, type_, number, data, message, _, cause, error, ticks, _ = frame
         end = start + len(raw)
         stamp, read_end = self._read_of(end)
@@ -325,28 +324,18 @@ class StreamDecoder(Decoder):
         self._frames.append(frame_of((raw, type_, number, data, message, stamp, cause, error, ticks,
                                       read_end - self._classified)))
 
-    def _add_noise(self, end: int) -> None:
-        """Add the bytes before `end` that are in no frame to the noise."""
+    def _add_noise(self, end: int, is_over: bool) -> None:
+        """Add the bytes before `end` that are in no frame to the noise, which is perhaps over."""
         first = self._classified - self.front
-        if first >= end:
-            return
-        self._noise += self.buffer[first:end]
-        self._noise_stamp = self._read_of(end)[0]
-        self._classified = self.front + end
-        while len(self._noise) >= MAX_REPORTED:
-            self._return_noise()
-
-    def _end_noise(self, end: int) -> None:
-        """End the noise at `end`."""
-        self._add_noise(end)
-        if self._noise:
-            self._return_noise()
-
-    def _return_noise(self) -> None:
-        noise, self._noise = self._noise[:MAX_REPORTED], self._noise[MAX_REPORTED:]
-        self._frames.append(invalid_frame(
-            noise, FRAMING, f'{len(noise)} byte{"s" * (len(noise) > 1)} outside frames',
-            self._noise_stamp))
+        if first < end:
+            self._noise += self.buffer[first:end]
+            self._noise_stamp = self._read_of(end)[0]
+            self._classified = self.front + end
+        while len(self._noise) >= MAX_REPORTED or is_over and self._noise:
+            noise, self._noise = self._noise[:MAX_REPORTED], self._noise[MAX_REPORTED:]
+            self._frames.append(invalid_frame(
+                noise, FRAMING, f'{len(noise)} byte{"s" * (len(noise) > 1)} outside frames',
+                self._noise_stamp))
 
     def _read_of(self, end: int) -> Tuple[Any, int]:
         """The read that had the last byte before `end`: its stamp, and the bytes received by
