@@ -8,7 +8,7 @@ import re
 import struct
 from collections import namedtuple
 from math import inf, isfinite
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
 
 NUMBERS = 'bBhHiIlLqQefd?'     # struct's codes that hold one number each
@@ -365,11 +365,6 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
         '__slots__': (), '__doc__': doc, 'TYPE': type_, 'LABEL': label or name,
         'LAYOUT': Layout(layout, values),
         'TICKS_AT': names.index(BOARD_TIME) if BOARD_TIME in names else None})
-
-
-def by_type(*kinds: Any) -> Dict[Any, Any]:
-    """Message classes by their types, those of settings by their numbers."""
-    return {kind.NUMBER or kind.TYPE: kind for kind in kinds}
 
 
 def readable(text: str) -> str:

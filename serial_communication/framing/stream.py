@@ -14,7 +14,8 @@ import struct
 from bisect import bisect_left
 from collections import deque
 from functools import partial
-from typing import Any, Callable, Deque, Dict, FrozenSet, List, NamedTuple, Optional, Tuple, Union
+from typing import (Any, Callable, Deque, Dict, FrozenSet, Iterable, List, NamedTuple, Optional,
+                    Tuple, Union)
 
 CHECKSUM = 'checksum'        # a whole frame whose checksum does not match
 FRAMING = 'framing'          # bytes in no frame: noise, a false length, an incomplete frame
@@ -67,18 +68,27 @@ def invalid_frame(raw: bytes, cause: str, error: str, stamp: Any = None) -> Fram
     return frame_of((raw[:MAX_REPORTED], 0, 0, b'', None, stamp, cause, error, None, 0))
 
 
+def by_type(*kinds: Any) -> Dict[Any, Any]:
+    """Message classes by their types, those of settings by their numbers."""
+    return {kind.NUMBER or kind.TYPE: kind for kind in kinds}
+
+
 class Decoder:
     """Base of all decoders.
 
     The frames do not depend on how the bytes were cut into reads. No method raises for any bytes,
     and no buffer grows without bound. Every error is returned once, as a frame with a cause.
+
+    Args:
+        messages: classes of custom messages: see `layout.message_class`.
     """
 
+    MESSAGES: Dict[Any, Any] = {}            # classes of built-in messages: see `by_type`
     CAUSES: Tuple[str, ...] = (FRAMING,)     # of the errors that it may find
     needed = 1     # bytes that the incomplete frame has, as far as is known
 
-    def __init__(self) -> None:
-        self.messages: Dict[Any, Any] = {}         # classes by type, or by a setting's number
+    def __init__(self, messages: Iterable[Any] = ()) -> None:
+        self.messages = {**self.MESSAGES, **by_type(*messages)}
         self.unchecked: FrozenSet[int] = frozenset()     # types whose values may be anything
         self.received = 0          # bytes, so far
         self.front = 0             # of them before the incomplete frame; all if there is none
@@ -99,7 +109,7 @@ class Decoder:
 
     def add_message(self, kind: Any) -> None:
         """Decode custom messages of this class from now on; from any thread."""
-        self.messages = {**self.messages, kind.NUMBER or kind.TYPE: kind}
+        self.messages = {**self.messages, **by_type(kind)}
 
     def remove_message(self, kind: Any) -> None:
         """Decode them no longer; from any thread."""
@@ -227,8 +237,8 @@ class StreamDecoder(Decoder):
     CAUSES: Tuple[str, ...] = (CHECKSUM, FRAMING)
     STARTS = b''
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, messages: Iterable[Any] = ()) -> None:
+        super().__init__(messages)
         self._any_start = re.compile(b'[' + re.escape(self.STARTS) + b']')
 
     def _begin(self) -> None:

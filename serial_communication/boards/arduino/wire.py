@@ -11,14 +11,14 @@ limits. doc/protocols.md lists the decisions where the source says nothing.
 import struct
 from collections import namedtuple
 from math import pi
-from typing import Any, Dict, Iterable, List, Tuple, Type
+from typing import Any, Iterable, List, Tuple, Type
 
 from ...framing import announcement, cobs, stream
-from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, brief, by_type,
+from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, brief,
                                message_class, readable)
 from ...framing.rows import SettingMessage
 from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, SETTING, UNKNOWN, Frame,
-                               invalid_frame)
+                               by_type, invalid_frame)
 
 MAX_PACKET = 256                        # type and data, decoded
 _MAX_ENCODED = MAX_PACKET + 2           # the same, encoded
@@ -190,16 +190,14 @@ class _Decoder(stream.Decoder):
 
     CAUSES = FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE
     needed = _MAX_ENCODED      # bytes of the longest packet: no packet says how long it is
-    MESSAGES: Dict[int, Any] = {}
 
     def __init__(self, check_plausibility: bool = True,
                  messages: Iterable[Type[LayoutMessage]] = ()) -> None:
-        super().__init__()
+        super().__init__(messages)
         # A count over 16 in TIME would give its time to packets of later measurements, and a
         # setting that is NaN is never equal to what is wanted.
         if not check_plausibility:
             self.unchecked = frozenset(self.MESSAGES.keys() - {Time.TYPE, SETTING})
-        self.messages = {**self.MESSAGES, **by_type(*messages)}
 
     def _begin(self) -> None:
         self._begun = b''          # the incomplete packet; of one that is too long, its beginning

@@ -11,14 +11,13 @@ a frame, modulo 256. Little-endian. Only the board sends, except for settings.
 import struct
 from collections import namedtuple
 from math import isnan, nan
-from typing import Iterable, Optional, Type, Union
+from typing import Optional, Union
 
 from ...framing.announcement import Chunk
-from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type,
-                               message_class)
+from ...framing.layout import BOARD_TIME, Layout, LayoutMessage, Value, message_class
 from ...framing.rows import SettingMessage
 from ...framing.stream import (CHECKSUM, FRAMING, IMPLAUSIBLE, LENGTH, UNKNOWN, Frame,
-                               StreamDecoder, invalid_frame, running_xor)
+                               StreamDecoder, by_type, invalid_frame, running_xor)
 
 STX = 0x02
 ETX = 0x03
@@ -102,18 +101,11 @@ def encode_raw(type_: int, seq: int, payload: bytes) -> bytes:
 
 
 class Decoder(StreamDecoder):
-    """Decodes what the board sends.
+    """Decodes what the board sends, and settings in both directions."""
 
-    Args:
-        messages: classes of custom messages: see `message_class`.
-    """
-
+    MESSAGES = BUILT_IN
     CAUSES = CHECKSUM, FRAMING, UNKNOWN, LENGTH, IMPLAUSIBLE
     STARTS = bytes((STX,))
-
-    def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
-        super().__init__()
-        self.messages = {**BUILT_IN, **by_type(*messages)}
 
     def _begin(self) -> None:
         super()._begin()

@@ -1,9 +1,7 @@
 """Frames in both directions: a colon, then TYPE, number, DATA and their XOR in hex, a newline."""
-from typing import Iterable
-
 from serial_communication.framing.layout import Value, message_class
 from serial_communication.framing.stream import (CHECKSUM, FRAMING, UNKNOWN, StreamDecoder,
-                                                 invalid_frame, running_xor)
+                                                 by_type, invalid_frame, running_xor)
 
 Load = message_class('Load', 0x10, '<H', [Value('value', 'kg', 0.1)], 'load')
 Hold = message_class('Hold', 2, '<', (), 'hold')
@@ -23,11 +21,8 @@ class Decoder(StreamDecoder):
     """Decodes either direction."""
 
     CAUSES = CHECKSUM, FRAMING, UNKNOWN
+    MESSAGES = by_type(Load, Hold)
     STARTS = b':'
-
-    def __init__(self, messages: Iterable = ()) -> None:
-        super().__init__()
-        self.messages = {kind.TYPE: kind for kind in (Load, Hold, *messages)}
 
     def frame_at(self, at: int):
         end = self.buffer.find(b'\n', at, at + 40)
