@@ -189,10 +189,6 @@ class FrameTimer:
         # Of each read with bytes of the incomplete frame: the bytes received by then, and its time.
         self._reads: Deque[Tuple[int, float]] = deque()
 
-    def reset(self) -> None:
-        """Begin again, as after a reconnect."""
-        self._reads.clear()
-
     def due(self, last_byte: float) -> Optional[float]:
         """When to call `overdue` at the latest; None while nothing is pending.
 

@@ -48,7 +48,6 @@ class Receiver:
     def reset(self) -> None:
         """What was received before is dropped, with an incomplete frame."""
         self._session.decoder.reset()
-        self._timer.reset()
         self.stamps.reset()
 
     def take(self, data: bytes, stamp: Any, now: float, is_old: bool = False) -> bool:

@@ -239,9 +239,7 @@ def test_a_custom_function():
     assert polled.reply.unpack(b'\x0a\0') == (1.0,)
     assert polled.make_request(()) == bus.Request(bus.FUNCTION, 49)
     for data, text in (b'\x0a\0', 'level OK data=1'), (b'\x0a', 'OK 0a'):
-        reply = bus.Reply(bus.OK, data)
-        polled.name_reply(reply)
-        assert str(reply) == text
+        assert str(polled.name_reply(bus.Reply(bus.OK, data))) == text
 
 
 # -- motions --------------------------------------------------------------------------------------

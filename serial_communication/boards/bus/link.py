@@ -137,9 +137,9 @@ class MasterSession(Session):
 
     def shown(self, frame: Frame) -> Frame:
         call = self.master.channel.call
-        if call and not frame.cause:
-            call.function.name_reply(frame.message)
-        return frame
+        if frame.cause or call is None:
+            return frame
+        return frame._replace(message=call.function.name_reply(frame.message))
 
     def error_count(self) -> int:
         return self.master.timeouts + sum(self.master.data_errors.values())

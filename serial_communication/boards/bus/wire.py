@@ -141,10 +141,11 @@ class Function(Row):
             return LENGTH, f'{size} bytes of data, {self.reply.sizes()} were expected'
         return IMPLAUSIBLE, self.reply.implausible(self.reply.unpack(reply.data))
 
-    def name_reply(self, reply: Reply) -> None:
+    def name_reply(self, reply: Reply) -> Reply:
         """Let the text of an OK with fitting data have the function's name."""
         if reply.cmd1 == OK and self.reply is not ANY_DATA and self.reply.fits(len(reply.data)):
             reply.text = f'{self.name} OK {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
+        return reply
 
 
 def _move(name: str, cmd2: int, directions: Tuple[str, ...], amount: Value) -> Function:

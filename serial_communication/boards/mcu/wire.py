@@ -26,8 +26,6 @@ MAX_PAYLOAD = 253      # bytes
 RANGE_TIMED_OUT = 0xFFFF  # in place of a range: the sensor timed out
 ANGLE_UNKNOWN = -0x8000   # pitch and roll where the IMU did not answer: no attitude has -327.68°
 
-_WRAP = 0x10000        # by which a heading over 327.67° wraps in the int16; 0.01°
-
 
 class SensorStatus(LayoutMessage, namedtuple(
         'SensorStatus', 'range_1 range_2 yaw pitch roll')):
@@ -52,7 +50,7 @@ class SensorStatus(LayoutMessage, namedtuple(
         if pitch == roll == ANGLE_UNKNOWN:    # yaw alone cannot tell: it may be a heading
             return cls(range_1, range_2, nan, nan, nan)
         if yaw < -18000:
-            yaw += _WRAP
+            yaw += 0x10000
             yaw -= 36000 * (yaw > 36000)
         return tuple.__new__(cls, (range_1, range_2, yaw / 100, pitch / 100, roll / 100))
 
