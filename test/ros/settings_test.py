@@ -45,7 +45,7 @@ class TunableCar(CarBoard):
         message = frame.message
         number = frame.data[0] if frame.type == SETTING else None
         if self.hears and number in self.values:
-            self.values[number] = min(message[1], 5.0) if number == 1 else message[1]
+            self.values[number] = min(round(message[1], 6), 5.0) if number == 1 else message[1]
             self.report(number)
 
     def report(self, number):
