@@ -5,6 +5,7 @@ Every decoder is a `stream.Decoder`.
 Every message class has
 
     TYPE             its type on the wire
+    NUMBER           of a setting: the byte with which its data begin, else b''
     LABEL            its name, for people
     LAYOUT           which values its data has, and where
     unpack(data)     the message; struct.error if the data has the wrong length

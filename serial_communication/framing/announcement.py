@@ -47,10 +47,6 @@ class Chunk(LayoutMessage, namedtuple('Chunk', 'index count crc text')):
         return '' if self.index < self.count else \
             f'chunk {self.index} of {self.count}: the index has to be under the count'
 
-    def __str__(self) -> str:
-        return (f'announcement {self.index + 1}/{self.count} (CRC {self.crc:04x}): '
-                f'{readable(self.text.decode("utf-8", "replace"))}')
-
 
 class Assembly:
     """Assembles the text of one board, whatever chunks are lost, repeated, damaged or mixed up.
@@ -78,11 +74,7 @@ class Assembly:
         self.confirmed = False
 
     def add(self, chunk: Chunk) -> Optional[bytes]:
-        """Add a chunk. If it completes a text other than the latest, return that, else None.
-
-        Raises:
-            ValueError: the text is too long; its chunks so far are dropped.
-        """
+        """Add a chunk. If it completes a text other than the latest, return that, else None."""
         key = chunk.crc, chunk.count
         self.confirmed |= chunk.crc == self._crc
         if key == self._key or chunk.implausible():
@@ -91,9 +83,6 @@ class Assembly:
             self._begun, self._pieces = key, {}
         self._pieces[chunk.index] = chunk.text
         text = b''.join(self._pieces[index] for index in sorted(self._pieces))
-        if len(text) > LONGEST:
-            self._begun = None
-            raise ValueError(f'the announcement has over {LONGEST} bytes; it is ignored')
         if len(self._pieces) < chunk.count or crc_of(text) != chunk.crc:
             return None
         self._key = key
@@ -116,6 +105,8 @@ class Announcement(NamedTuple):
 
 def read_announcement(text: bytes) -> Announcement:
     """Read the text of an announcement, which may hold anything: nothing is raised."""
+    if len(text) > LONGEST:
+        return Announcement('', {}, [f'the announcement has over {LONGEST} bytes; it is ignored'])
     firmware = ''
     rows: Dict[str, Any] = {}
     problems: List[str] = []

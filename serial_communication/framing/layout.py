@@ -8,7 +8,7 @@ import re
 import struct
 from collections import namedtuple
 from math import inf, isfinite
-from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
+from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
 from unicodedata import category
 
 NUMBERS = 'bBhHiIlLqQefd?'     # struct's codes that hold one number each
@@ -329,6 +329,7 @@ class LayoutMessage(tuple):
     LABEL: str
     LAYOUT: Layout
     ANNOUNCED = False      # the board announces this message itself
+    NUMBER = b''           # of a setting: the first byte of its data
     TICKS_AT: Optional[int] = None     # index of its value `BOARD_TIME`; None: it has none
 
     @classmethod
@@ -340,11 +341,6 @@ class LayoutMessage(tuple):
 
     def implausible(self) -> str:
         return self.LAYOUT.implausible(self)
-
-    @classmethod
-    def layout_of(cls, data: bytes) -> Layout:
-        """The layout that these data should have."""
-        return cls.LAYOUT
 
     def __str__(self) -> str:
         return f'{self.LABEL} {self.LAYOUT.text(self)}'.rstrip()
@@ -369,11 +365,6 @@ def message_class(name: str, type_: int, layout: str, values: Sequence[Value] = 
         '__slots__': (), '__doc__': doc, 'TYPE': type_, 'LABEL': label or name,
         'LAYOUT': Layout(layout, values),
         'TICKS_AT': names.index(BOARD_TIME) if BOARD_TIME in names else None})
-
-
-def by_type(*kinds: Any) -> Dict[int, Any]:
-    """Message classes by their types."""
-    return {kind.TYPE: kind for kind in kinds}
 
 
 def readable(text: str) -> str:

@@ -9,9 +9,8 @@ from typing import Any, Callable, Dict, List, NamedTuple, Sequence, Tuple
 from .layout import (BOARD_TIME, EMPTY, FRACTIONS, Layout, Value, message_class, places_of,
                      readable, shortest)
 from .rows import BOARD, FILE, Kind, Row, RowError, refuse_second_number
+from .stream import SETTING
 
-# Types from this one on have a meaning of their own on every link: settings, time, announcements.
-RESERVED = 253
 MOTIONS = 'geometry_msgs/Twist', 'geometry_msgs/TwistStamped'     # by default
 _NAME = re.compile(r'[A-Za-z][A-Za-z0-9_]*')
 _STEP = r'[A-Za-z][A-Za-z0-9_]*(\[[0-9]{1,9}\])?'
@@ -89,10 +88,13 @@ class Group(NamedTuple):
                           f'a whole number from {self.numbers[0]} to {self.numbers[-1]}'
                           + (f' but {", ".join(gaps)}' if gaps else ''))
         found = {'type': _message, 'cmd2': _function, 'setting': _setting}[number_key](self, keys)
-        if number_key == 'type':
-            message = message_class(name, number, found['layout'].layout, found['layout'].values)
+        if number_key != 'cmd2':
+            is_setting, layout = number_key == 'setting', found['layout']
+            message = found['message'] = message_class(
+                name, SETTING if is_setting else number, layout.layout, layout.values,
+                number_key * is_setting)
             message.ANNOUNCED = origin == BOARD
-            found.update(message=message, layout=message.LAYOUT)
+            message.NUMBER = bytes((number,)) * is_setting
         return self.make(name, number, key=key, origin=origin, **found)
 
 

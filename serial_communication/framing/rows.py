@@ -5,14 +5,13 @@ resolves them.
 """
 import enum
 import struct
-from collections import namedtuple
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf, isfinite
-from typing import Any, Dict, Iterable, Optional, Sequence, Tuple, Type
+from typing import Any, Dict, Iterable, Optional, Sequence, Tuple
 
-from .layout import (EMPTY, FRACTIONS, Layout, LayoutMessage, Value, brief, readable,
-                     shortest)
+from .layout import EMPTY, FRACTIONS, Layout, Value, brief, message_class, readable, shortest
+from .stream import SETTING
 
 BUILT_IN, FILE, BOARD = 'built in', 'file', 'board'      # where a row is from
 
@@ -96,11 +95,9 @@ class Row:
                 continue
             if not isfinite(given):
                 return [0] * len(sent), f'{self.name}: {value.name} is {given}, sent 0'
-            least, most = value.range
-            low, high = value.limits
+            (least, most), (low, high) = value.range, value.limits
             if not max(low, least) <= given <= min(high, most):
-                sent[index] = max(value.minimum, least) if given < low or given < least else \
-                    min(value.maximum, most)
+                sent[index] = min(max(given, value.minimum, least), value.maximum, most)
                 why = (f'{self.name}: {value.name} is {given:.6g}, out of range, '
                        f'sent {sent[index]:.6g}')
         return sent, why
@@ -152,39 +149,6 @@ def refuse_second_number(row: Row, others: Iterable[Row]) -> None:
                            f'is already the {row.number_key} of {other.name}')
 
 
-class SettingMessage(LayoutMessage, namedtuple('SettingMessage', 'number value')):
-    """Us -> board: use this value of a setting; board -> us: it is in use.
-
-        +----------------+-------+
-        | number (uint8) | value |     little-endian
-        +----------------+-------+
-
-    Without a row, the value is a tuple of its bytes.
-    """
-
-    __slots__ = ()
-    TYPE = 253               # message type (arduino), TYPE (mcu)
-    LABEL = 'setting'
-    LAYOUT_WITHOUT_ROW = Layout('<BB*', [Value('number'), Value('value')])
-    ROWS: Dict[int, Setting] = {}     # by number
-
-    @classmethod
-    def layout_of(cls, data: bytes) -> Layout:
-        row = cls.ROWS.get(data[0]) if data else None
-        return row.layout if row else cls.LAYOUT_WITHOUT_ROW
-
-    @classmethod
-    def unpack(cls, data: bytes) -> 'SettingMessage':
-        """A float has as few digits as it needs: 2.2."""
-        number, value = cls.layout_of(data).unpack(data)
-        return tuple.__new__(cls, (number, shortest(value) if isinstance(value, float) else value))
-
-    @property
-    def LAYOUT(self) -> Layout:     # type: ignore[override]  # each setting has its own
-        return self.layout_of(bytes((self.number,)))
-
-
-def message_of(settings: Iterable[Setting]) -> Type[SettingMessage]:
-    """The message class of these settings, for decoders."""
-    return type('SettingMessage', (SettingMessage,), {
-        '__slots__': (), 'ROWS': {row.number: row for row in settings}})
+# One without a row. Us -> board: use this value; board -> us: it is in use.
+SettingMessage = message_class(
+    'SettingMessage', SETTING, '<BB*', [Value('number'), Value('value')], 'setting')

@@ -10,18 +10,21 @@ Such a frame keeps the stamp of the read that had its last byte.
 Bytes in no frame are noise, which is returned when it ends.
 """
 import re
+import struct
 from bisect import bisect_left
 from collections import deque
 from functools import partial
-from typing import Any, Callable, Deque, Dict, List, NamedTuple, Optional, Tuple, Union
+from typing import (Any, Callable, Deque, Dict, FrozenSet, Iterable, List, NamedTuple, Optional,
+                    Tuple, Union)
 
 CHECKSUM = 'checksum'        # a whole frame whose checksum does not match
 FRAMING = 'framing'          # bytes in no frame: noise, a false length, an incomplete frame
 LENGTH = 'length'            # a known type with a wrong length
-UNKNOWN = 'unknown type'     # a valid frame of an unknown type
+UNKNOWN = 'unknown type'     # a whole frame of an unknown type
 IMPLAUSIBLE = 'implausible'  # a valid frame with impossible values
 OVERSIZE = 'oversize'        # a packet longer than the longest valid one
 
+SETTING = 253        # the type of settings, for which the first byte of the data decides, too
 MAX_REPORTED = 1100  # bytes; longest `raw` of an invalid frame; no valid frame is as long
 
 
@@ -32,21 +35,17 @@ class Frame(NamedTuple):
     type: int           # CMD1, message type or TYPE
     number: int         # CMD2 of a request, SEQ of an mcu frame, else 0
     data: bytes         # the payload, decoded
-    message: Any        # the typed message; None: an unknown type, or the frame is invalid
+    message: Any        # the typed message; None: the frame is invalid
     stamp: Any = None   # the stamp that `feed` got with the frame's last byte
     cause: str = ''     # one of the causes above; empty: the frame is valid
     error: str = ''     # the cause in words
     ticks: Optional[int] = None    # the board's time of measurement, µs modulo 2 ** 32
-    behind: int = 0     # bytes of the same read behind its end; 0 if it is invalid
+    behind: int = 0     # bytes of the same read behind its end
 
     @property
     def text(self) -> str:
         """Its meaning in one line, for people."""
-        if self.message is not None:
-            return str(self.message)
-        if self.cause:
-            return f'{len(self.raw)} invalid bytes'
-        return f'a frame of the unknown type 0x{self.type:02x}'
+        return f'{len(self.raw)} invalid bytes' if self.cause else str(self.message)
 
     @property
     def trouble(self) -> str:
@@ -64,28 +63,33 @@ def stamped(frame: Frame, stamp: Any) -> Frame:
     return frame_of((*frame[:5], stamp, *frame[6:]))
 
 
-def invalid_frame(raw: bytes, cause: str, error: str, stamp: Any = None, type_: int = 0,
-                  data: bytes = b'') -> Frame:
-    """A `Frame` for an invalid frame or noise, with the first `MAX_REPORTED` bytes of `raw`."""
-    return frame_of((raw[:MAX_REPORTED], type_, 0, data, None, stamp, cause, error, None, 0))
+def invalid_frame(raw: bytes, cause: str, error: str, stamp: Any = None) -> Frame:
+    """A `Frame` for bytes that are no whole frame, with the first `MAX_REPORTED` of them."""
+    return frame_of((raw[:MAX_REPORTED], 0, 0, b'', None, stamp, cause, error, None, 0))
+
+
+def by_type(*kinds: Any) -> Dict[Any, Any]:
+    """Message classes by their types, those of settings by their numbers."""
+    return {kind.NUMBER or kind.TYPE: kind for kind in kinds}
 
 
 class Decoder:
     """Base of all decoders.
 
     The frames do not depend on how the bytes were cut into reads. No method raises for any bytes,
-    and no buffer grows without bound. Every error is counted once and returned as one frame with
-    a cause.
+    and no buffer grows without bound. Every error is returned once, as a frame with a cause.
 
     Args:
-        causes: of the errors that it may find.
+        messages: classes of custom messages: see `layout.message_class`.
     """
 
+    MESSAGES: Dict[Any, Any] = {}            # classes of built-in messages: see `by_type`
+    CAUSES: Tuple[str, ...] = (FRAMING,)     # of the errors that it may find
     needed = 1     # bytes that the incomplete frame has, as far as is known
 
-    def __init__(self, *causes: str) -> None:
-        self.errors = dict.fromkeys(causes, 0)     # counts by cause; always has `FRAMING`
-        self.messages: Dict[int, Any] = {}         # classes by type
+    def __init__(self, messages: Iterable[Any] = ()) -> None:
+        self.messages = {**self.MESSAGES, **by_type(*messages)}
+        self.unchecked: FrozenSet[int] = frozenset()     # types whose values may be anything
         self.received = 0          # bytes, so far
         self.front = 0             # of them before the incomplete frame; all if there is none
         self._begin()
@@ -105,11 +109,34 @@ class Decoder:
 
     def add_message(self, kind: Any) -> None:
         """Decode custom messages of this class from now on; from any thread."""
-        self.messages = {**self.messages, kind.TYPE: kind}
+        self.messages = {**self.messages, **by_type(kind)}
 
     def remove_message(self, kind: Any) -> None:
         """Decode them no longer; from any thread."""
-        self.messages = {type_: each for type_, each in self.messages.items() if each is not kind}
+        self.messages = {key: each for key, each in self.messages.items() if each is not kind}
+
+    def whole(self, raw: bytes, type_: int, number: int, data: bytes, ticks: Optional[int] = None,
+              stamp: Any = None, behind: int = 0) -> Frame:
+        """A whole frame with its message, or with the cause for which that is refused."""
+        kind = self.messages.get(type_)
+        if type_ == SETTING:
+            kind = self.messages.get(data[:1], kind)
+        if kind is None:
+            cause, error = UNKNOWN, f'type {type_} is unknown'
+        else:
+            try:
+                message = kind.unpack(data)
+                why = type_ not in self.unchecked and message.implausible()
+                if not why:
+                    if kind.TICKS_AT is not None:
+                        ticks = message[kind.TICKS_AT]
+                    return frame_of(
+                        (raw, type_, number, data, message, stamp, '', '', ticks, behind))
+                cause, error = IMPLAUSIBLE, f'{kind.LABEL}: {why}'
+            except struct.error:
+                cause, error = LENGTH, (f'{kind.LABEL} with {len(data)} bytes of data where '
+                                        f'{kind.LAYOUT.sizes()} is right')
+        return Frame(raw, type_, number, data, None, stamp, cause, error, None, behind)
 
     def feed(self, data: bytes, stamp: Any = None) -> List[Frame]:
         """Decode the bytes of one read; return the frames, valid and invalid, now complete."""
@@ -162,10 +189,6 @@ class FrameTimer:
         # Of each read with bytes of the incomplete frame: the bytes received by then, and its time.
         self._reads: Deque[Tuple[int, float]] = deque()
 
-    def reset(self) -> None:
-        """Begin again, as after a reconnect."""
-        self._reads.clear()
-
     def due(self, last_byte: float) -> Optional[float]:
         """When to call `overdue` at the latest; None while nothing is pending.
 
@@ -196,36 +219,6 @@ class FrameTimer:
         return frames
 
 
-class Good(NamedTuple):
-    """A valid frame begins here. The fields are those of `Frame`, after its size in bytes."""
-
-    size: int
-    type: int
-    number: int
-    data: bytes
-    message: Any         # None: of an unknown type, or refused
-    cause: str = ''      # why the message of this valid frame is refused; '': it is not
-    error: str = ''
-    ticks: Optional[int] = None
-
-
-class Bad(NamedTuple):
-    """An invalid frame begins here, or, with the cause `FRAMING`, none: the byte is noise."""
-
-    size: int            # bytes that the frame appears to have
-    cause: str
-    error: str
-
-
-NO_FRAME = Bad(1, FRAMING, 'not the start of a frame')
-
-
-class Need(NamedTuple):
-    """A frame may begin here; too few bytes have been received to decide."""
-
-    size: int            # bytes, from the frame's first on, that are needed to decide more
-
-
 class StreamDecoder(Decoder):
     """Base of decoders for frames with a checksum: it buffers and resynchronises.
 
@@ -233,14 +226,15 @@ class StreamDecoder(Decoder):
     such a byte (`frame_at`, which reads `buffer` and computes checksums by `xor`).
 
     Each error is returned as one invalid frame, in whatever pieces its bytes were read. It is a
-    whole frame with a wrong checksum, or noise. Noise ends where a frame begins, after a silence
-    (`give_up`) or after `MAX_REPORTED` bytes.
+    whole frame, or noise. Noise ends where a frame begins, after a silence (`give_up`) or after
+    `MAX_REPORTED` bytes.
     """
 
+    CAUSES: Tuple[str, ...] = (CHECKSUM, FRAMING)
     STARTS = b''
 
-    def __init__(self, *causes: str) -> None:
-        super().__init__(CHECKSUM, FRAMING, *causes)
+    def __init__(self, messages: Iterable[Any] = ()) -> None:
+        super().__init__(messages)
         self._any_start = re.compile(b'[' + re.escape(self.STARTS) + b']')
 
     def _begin(self) -> None:
@@ -274,13 +268,15 @@ class StreamDecoder(Decoder):
         # The search goes on at the second byte.
         frames = self._search(1 if self.buffer else 0)
         if not self.buffer:
-            self._end_noise(0)
+            self._add_noise(0, True)
         return frames
 
     # -- for subclasses ---------------------------------------------------------------
 
-    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
-        """What begins at this index of the buffer, where one of `STARTS` is."""
+    def frame_at(self, at: int) -> Union[Frame, int, None]:
+        """What begins at this index of the buffer, where one of `STARTS` is: a whole frame, valid
+        or not, without stamp; None: no frame; or, if one may begin there, how many bytes from there
+        on are needed to decide more."""
         raise NotImplementedError
 
     def xor(self, start: int, end: int) -> int:
@@ -301,22 +297,19 @@ class StreamDecoder(Decoder):
                 at = start.start() if start else size
                 continue
             found = self.frame_at(at)
-            if found is NO_FRAME:
+            if found is None:
                 at += 1
-            elif isinstance(found, Good):
-                self._add(at, found)
-                # Its LEN may be false: two equal frames inside do not change an XOR.
-                at += 1 if found.cause == LENGTH else found.size
-            elif isinstance(found, Bad):
-                # An invalid frame inside another one that was returned is the same error.
-                if found.cause != FRAMING and self.front + at >= self._classified:
-                    self._add_bad(at, found)
-                at += 1
-            else:
-                need = found.size
+            elif isinstance(found, int):
+                need = found
                 break
+            else:
+                # An invalid frame inside another one that was returned is the same error.
+                if found.cause != CHECKSUM or self.front + at >= self._classified:
+                    self._add(at, found)
+                # The length may be false, too: two equal frames inside do not change an XOR.
+                at += 1 if found.cause in (CHECKSUM, LENGTH) else len(found.raw)
         if self._classified < self.front + at:
-            self._add_noise(at)
+            self._add_noise(at, False)
         self.front += at
         self.needed = need
         self.buffer = buffer[at:]
@@ -326,54 +319,29 @@ class StreamDecoder(Decoder):
             reads.popleft()
         return frames
 
-    def _add(self, start: int, found: Good) -> None:
-        """Add the valid frame that begins at `start`."""
+    def _add(self, start: int, frame: Frame) -> None:
+        """Add the frame that begins at `start`."""
         if self._noise or self._classified < self.front + start:
-            self._end_noise(start)
-        size, type_, command, data, message, cause, error, ticks = found
-        end = start + size
-        if cause:
-            self.errors[cause] += 1
-        elif message is None:
-            self.errors[UNKNOWN] += 1
+            self._add_noise(start, True)
+        raw, type_, number, data, message, _, cause, error, ticks, _ = frame
+        end = start + len(raw)
         stamp, read_end = self._read_of(end)
-        self._frames.append(frame_of((
-            self.buffer[start:end], type_, command, data, message, stamp, cause, error, ticks,
-            read_end - self.front - end)))
         self._classified = self.front + end
+        self._frames.append(frame_of((raw, type_, number, data, message, stamp, cause, error, ticks,
+                                      read_end - self._classified)))
 
-    def _add_bad(self, start: int, bad: Bad) -> None:
-        """Add the invalid frame that begins at `start`."""
-        self._end_noise(start)
-        end = start + bad.size
-        self.errors[bad.cause] += 1
-        self._frames.append(invalid_frame(self.buffer[start:end], bad.cause, bad.error,
-                                          self._read_of(end)[0]))
-        self._classified = self.front + end
-
-    def _add_noise(self, end: int) -> None:
-        """Add the bytes before `end` that are in no frame to the noise."""
+    def _add_noise(self, end: int, is_over: bool) -> None:
+        """Add the bytes before `end` that are in no frame to the noise, which is perhaps over."""
         first = self._classified - self.front
-        if first >= end:
-            return
-        self._noise += self.buffer[first:end]
-        self._noise_stamp = self._read_of(end)[0]
-        self._classified = self.front + end
-        while len(self._noise) >= MAX_REPORTED:
-            self._return_noise()
-
-    def _end_noise(self, end: int) -> None:
-        """End the noise at `end`."""
-        self._add_noise(end)
-        if self._noise:
-            self._return_noise()
-
-    def _return_noise(self) -> None:
-        noise, self._noise = self._noise[:MAX_REPORTED], self._noise[MAX_REPORTED:]
-        self.errors[FRAMING] += 1
-        self._frames.append(invalid_frame(
-            noise, FRAMING, f'{len(noise)} byte{"s" * (len(noise) > 1)} outside frames',
-            self._noise_stamp))
+        if first < end:
+            self._noise += self.buffer[first:end]
+            self._noise_stamp = self._read_of(end)[0]
+            self._classified = self.front + end
+        while len(self._noise) >= MAX_REPORTED or is_over and self._noise:
+            noise, self._noise = self._noise[:MAX_REPORTED], self._noise[MAX_REPORTED:]
+            self._frames.append(invalid_frame(
+                noise, FRAMING, f'{len(noise)} byte{"s" * (len(noise) > 1)} outside frames',
+                self._noise_stamp))
 
     def _read_of(self, end: int) -> Tuple[Any, int]:
         """The read that had the last byte before `end`: its stamp, and the bytes received by

@@ -25,14 +25,8 @@ class BoardAnnouncement:
 
     def add(self, chunk: Chunk) -> None:
         """A chunk was received; called in the link's thread."""
-        if self.on_text is None:
-            return
-        try:
-            text = self.assembly.add(chunk)
-        except ValueError as error:
-            self._log.warn('announcement', str(error))
-            return
-        if text is not None:
+        text = self.assembly.add(chunk) if self.on_text else None
+        if text is not None and self.on_text:
             self.on_text(text)
 
     def use(self, text: bytes, firmware: str, rows: List[str]) -> None:

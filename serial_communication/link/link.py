@@ -45,7 +45,7 @@ class Link:
                  earlier: Callable[[Any, float], Any] = operator.sub,
                  board_time: bool = True, now: Callable[[], float] = pace.clock) -> None:
         self.port, self.session, self.now = port, session, now
-        self.traffic = Traffic(session.NAME, session.log, session.decoder.errors)
+        self.traffic = Traffic(session.NAME, session.log, session.decoder.CAUSES)
         self.reopening = Reopening(port.url, session.log)
         self.writer = Writer(port, session, self.traffic, self.reopening, clock, now)
         self.lending = Lending(port, session, self.writer, now)

@@ -19,18 +19,15 @@ class Presence:
         self.opened_at = 0.0
         self.byte_at = 0.0          # the opening counts as a byte
         self.frame_at: Optional[float] = None      # the latest valid frame; None: none yet
-        self._understood_at = 0.0   # the latest one whose type is known; the opening counts, too
         self._log = log
         self._state = ''            # that was logged last
 
     def opened(self, now: float) -> None:
-        self.opened_at = self.byte_at = self._understood_at = now
+        self.opened_at = self.byte_at = now
 
-    def heard(self, now: float, is_understood: bool) -> None:
+    def heard(self, now: float) -> None:
         """A valid frame was received."""
         self.frame_at = now
-        if is_understood:
-            self._understood_at = now
 
     def talks(self, now: float) -> bool:
         return self.frame_at is not None and now - self.frame_at <= SILENCE
@@ -38,7 +35,7 @@ class Presence:
     def no_frame(self, now: float) -> str:
         """That bytes come without a valid frame, for people; '' if not."""
         return _NO_FRAME if self.byte_at > max(
-            now - SILENCE, self._understood_at + _NO_FRAME_TIME) else ''
+            now - SILENCE, max(self.opened_at, self.frame_at or 0.0) + _NO_FRAME_TIME) else ''
 
     def check(self, talks: Optional[bool], baud: int, now: float) -> None:
         """Log a change; `talks` None: unknown."""

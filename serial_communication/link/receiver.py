@@ -48,7 +48,6 @@ class Receiver:
     def reset(self) -> None:
         """What was received before is dropped, with an incomplete frame."""
         self._session.decoder.reset()
-        self._timer.reset()
         self.stamps.reset()
 
     def take(self, data: bytes, stamp: Any, now: float, is_old: bool = False) -> bool:
@@ -85,19 +84,16 @@ class Receiver:
         session, traffic, read = self._session, self._traffic, frame.stamp
         shown = session.shown(stamped(frame, read.stamp)) if traffic.tap else frame
         frame = stamped(frame, self.stamps.of(frame, read))
-        cause = UNKNOWN if frame.message is None and not frame.cause else frame.cause
         # The board may still announce a type that is unknown now.
-        if cause and (cause != UNKNOWN or session.announcement.on_text is None
-                      or now >= session.presence.opened_at + _ANNOUNCING):
-            traffic.errors[cause] += 1
-            if frame.cause:
-                session.log.warn(cause, f'{cause}: {frame.error}: {frame.raw[:24].hex()}')
+        if frame.cause and (frame.cause != UNKNOWN or session.announcement.on_text is None
+                            or now >= session.presence.opened_at + _ANNOUNCING):
+            traffic.errors[frame.cause] += 1
+            session.log.warn(frame.cause, f'{frame.trouble}: {frame.raw[:24].hex()}')
         if frame.cause:
             session.damaged(frame, now)
         else:
             traffic.frames_received += 1
-            # Another board's bytes may be a frame of an unknown type.
-            session.presence.heard(now, frame.message is not None)
+            session.presence.heard(now)
             session.received(frame, now)
         if traffic.tap:
             traffic.tapped(RX, shown)

@@ -1,9 +1,11 @@
 """The settings of one board: which values are wanted, and which the board has confirmed."""
 import threading
 from copy import copy
-from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple, Type
+from typing import Any, Callable, Dict, Iterable, List, Optional, Tuple
 
-from ..framing.rows import Setting, SettingMessage, message_of
+from ..framing.layout import shortest
+from ..framing.rows import Setting
+from ..framing.stream import Decoder
 from ..transport.pace import Allowance
 from .sparing_log import SparingLog
 
@@ -41,19 +43,17 @@ class BoardSettings:
     Any thread may call any method. Times are monotonic.
 
     Args:
-        use: called with the message class of the settings whenever there are others.
+        decoder: of the link; it gets the messages of the settings.
         wake: called when there is something to send.
     """
 
-    def __init__(self, log: SparingLog, use: Callable[[Type[SettingMessage]], None],
-                 wake: Callable[[], None]) -> None:
+    def __init__(self, log: SparingLog, decoder: Decoder, wake: Callable[[], None]) -> None:
         # Called by any thread when rows or values have changed; must not wait.
         self.on_change: Callable[[], None] = lambda: None
         self.wanted: Dict[str, Any] = {}     # by name, also of rows that are not there now
-        self._kind = message_of(())
         self._states: Dict[str, State] = {}
         self._allowance = Allowance(*_RATE)
-        self._log, self._use, self._wake = log, use, wake
+        self._log, self._decoder, self._wake = log, decoder, wake
         self._changed = threading.Condition()
 
     # -- rows and wanted values -----------------------------------------------------------
@@ -62,21 +62,17 @@ class BoardSettings:
         """Add a row; return what removes it."""
         with self._changed:
             state = self._states[row.name] = State(row)
-            self._rows_changed()
+            self._decoder.add_message(row.message)
         self.want(row.name, self.wanted.get(row.name))
 
         def remove() -> None:
             with self._changed:
                 if self._states.get(row.name) is state:
                     del self._states[row.name]
-                    self._rows_changed()
+                    self._decoder.remove_message(row.message)
             self.on_change()
 
         return remove
-
-    def _rows_changed(self) -> None:
-        self._kind = message_of(state.row for state in self._states.values())
-        self._use(self._kind)
 
     def want(self, name: str, value: Any) -> None:
         """Send this value until the board has it; None: the board's own stands.
@@ -117,7 +113,7 @@ class BoardSettings:
                 state.again()
         self.on_change()
 
-    def received(self, message: SettingMessage, is_current: bool) -> None:
+    def received(self, message: Any, is_current: bool) -> None:
         """The board uses this value.
 
         Args:
@@ -125,11 +121,11 @@ class BoardSettings:
         """
         with self._changed:
             state = next((each for each in self._states.values()
-                          if each.row.number == message.number), None)
-            if state is None or state.row.announced and not is_current \
-                    or type(message) is not self._kind:     # decoded before the rows changed
+                          if each.row.message is type(message)), None)
+            if state is None or state.row.announced and not is_current:
                 return
-            value, before, was_settled = message.value, state.value, state.is_settled
+            value = shortest(message[1]) if isinstance(message[1], float) else message[1]
+            before, was_settled = state.value, state.is_settled
             state.value = value
             if value == state.wanted:
                 # Without a try, the report may have been under way while an older value was sent.
@@ -145,7 +141,7 @@ class BoardSettings:
         if value != before or not (was_settled and state.is_settled):
             self.on_change()
 
-    def send(self, now: float, is_current: bool) -> Tuple[List[SettingMessage], Optional[float]]:
+    def send(self, now: float, is_current: bool) -> Tuple[List[Any], Optional[float]]:
         """What is to be sent now, and when to call again, or None.
 
         Args:
@@ -161,7 +157,7 @@ class BoardSettings:
                     state.tries += 1
                     state.due = now + _PAUSES[state.tries >= _TRIES]
                     self._warn(state)
-                    messages.append(self._kind(state.row.number, state.wanted))
+                    messages.append(state.row.message(state.row.number, state.wanted))
             # What the allowance kept is due when there is one more.
             return messages, min((state.due if state.due > now else now + 1 / _RATE[1]
                                   for state in waiting), default=None)

@@ -10,7 +10,7 @@ from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
 from ..boards.config_file import board_parameters, read_parameters
 from ..boards.description import Description
 from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
-from ..framing.rows import Kind, Row, Setting, SettingMessage, message_of
+from ..framing.rows import Kind, Row, Setting
 from ..transport.pace import Every
 from .announcing import chunks_of, write_announcement
 
@@ -84,7 +84,6 @@ class CustomMessagePlayer:
                  settings: Sequence[Setting] = ()) -> None:
         self.settings: Dict[int, Any] = {}      # their values, by number
         self._rows = {row.number: row for row in settings}
-        self.setting_kind = message_of(settings)
         self._kinds = [row.message for row in messages if row.kind is Kind.FROM]
         self._beat = Every(PERIOD, 0.0)
         self._chunks = [] if announcement is None else chunks_of(announcement, CHUNK)
@@ -134,16 +133,16 @@ class CustomMessagePlayer:
         self._chunk_due = now + (_OFTEN if self._often else _SELDOM)
         return found
 
-    def use(self, message: SettingMessage) -> List[SettingMessage]:
+    def use(self, message: Any) -> List[Any]:
         """Use the value of a setting, within its limits; return the board's answer."""
-        row = self._rows.get(message.number)
+        row = self._rows.get(message[0])
         if row is None:
             return []
-        self.settings[row.number] = row.checked(min(max(message.value, row.minimum), row.maximum))
+        self.settings[row.number] = row.checked(min(max(message[1], row.minimum), row.maximum))
         return [self._report(row.number)]
 
-    def _report(self, number: int) -> SettingMessage:
-        return self.setting_kind(number, self.settings[number])
+    def _report(self, number: int) -> Any:
+        return self._rows[number].message(number, self.settings[number])
 
 
 def simulated_values(layout: Layout, now: float, micros: int = 0) -> Tuple:

@@ -16,7 +16,7 @@ from fake_bus import FakeBus
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.rows import SettingMessage
+from serial_communication.framing.stream import SETTING
 from .child import jittered, serve, sleep_until, wait_until
 
 BITS = 10              # for a byte on the wire, with start and stop bit
@@ -156,7 +156,7 @@ class Listener(Recorder):
         beats = data.count(self.HEARTBEAT)
         if beats * len(self.HEARTBEAT) != len(data) or self._decoder.pending:
             for frame in self._decoder.feed(data):
-                if isinstance(frame.message, SettingMessage):
+                if frame.type == SETTING:
                     os.write(self._fd, frame.raw)
                 self._others += len(frame.raw) * (frame.raw != self.HEARTBEAT)
         return [now] * beats

@@ -2,6 +2,7 @@
 import pytest
 
 from steps import Bus, Steps
+from fake_bus import gimbal, lift
 from serial_communication.boards.arduino import wire as arduino
 from links import ArduinoLink
 from serial_communication.boards.arduino.session import CarOptions
@@ -76,7 +77,7 @@ def test_a_stop_of_a_closed_port_fails_holds_and_stops_the_board_that_comes(car)
 def test_the_bus_refuses_all_that_is_not_repeatable(logger):
     board = Bus(logger=logger).run(1.0)
     assert stop(board) == ''
-    for request in bus.lift(0, 10), bus.gimbal(0, 10), bus.Request(bus.FUNCTION, 0x33):
+    for request in lift(0, 10), gimbal(0, 10), bus.Request(bus.FUNCTION, 0x33):
         outcome = board.call(request)
         assert outcome.status == NOT_SENT and outcome.message == f'{STOPPED}; nothing was sent'
     assert board.call(bus.ENVIRONMENT_REQUEST, bus.ENVIRONMENT_FUNCTION).success
@@ -86,14 +87,14 @@ def test_the_bus_refuses_all_that_is_not_repeatable(logger):
 
 def test_a_move_that_cannot_be_interrupted_is_told_and_one_that_waits_is_not_sent(logger):
     board = Bus(logger=logger).run(1.0)
-    board.rule = lambda request: b'' if request == bus.lift(0, 100) else None
-    first = board.link.submit(bus.lift(0, 100))
+    board.rule = lambda request: b'' if request == lift(0, 100) else None
+    first = board.link.submit(lift(0, 100))
     board.run(0.5)
-    second = board.link.submit(bus.gimbal(1, 45))
+    second = board.link.submit(gimbal(1, 45))
     assert stop(board.run(0.1)) == '"lift up 100 mm" is under way'
     board.give(bus.encode_reply(bus.Reply(bus.OK)), 1.0)
     assert first.outcome.success and second.outcome.status == NOT_SENT
-    assert board.moves == [bus.lift(0, 100)]
+    assert board.moves == [lift(0, 100)]
 
 
 def test_functions_that_interrupt_are_called_at_once(logger):
@@ -101,9 +102,9 @@ def test_functions_that_interrupt_are_called_at_once(logger):
     halt, = functions({'halt': HALT_KEYS})
     request = halt.make_request(())
     board.link.session.stops.append((request, halt))
-    board.rule = lambda request: b'' if request == bus.lift(1, 100) else None
-    move = board.link.submit(bus.lift(1, 100))
+    board.rule = lambda request: b'' if request == lift(1, 100) else None
+    move = board.link.submit(lift(1, 100))
     board.run(0.5)
     assert stop(board) == ''
-    assert board.moves[0] == bus.lift(1, 100) and set(board.moves[1:]) == {request}
+    assert board.moves[0] == lift(1, 100) and set(board.moves[1:]) == {request}
     assert not move.outcome.success

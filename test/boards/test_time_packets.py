@@ -6,8 +6,7 @@ from board_rows import car_settings as arduino_settings
 from board_rows import mcu_messages
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.rows import message_of
-from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
+from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH, UNKNOWN
 
 TICKS = arduino.encode(arduino.Ticks(1))
 ADC = mcu.AdcStatus(1, 2, 3, 4, 5, 6)
@@ -65,7 +64,7 @@ def test_damage_ends_the_reach(damage):
 
 def test_a_setting_that_has_swallowed_a_counted_packet_ends_the_reach():
     """One byte on the wire was changed: the end of the setting's packet."""
-    kind = message_of(arduino_settings({'kp': {'setting': 1, 'layout': '<f'}}))
+    kind = arduino_settings({'kp': {'setting': 1, 'layout': '<f'}})[0].message
     for end in range(1, 256):
         wire = time(9, 1) + arduino.encode(kind(1, 2.0))[:-1] + bytes((end,)) + TICKS + TICKS
         frames = arduino.Decoder(messages=[kind]).feed(wire)
@@ -107,7 +106,7 @@ def test_an_mcu_time_is_for_the_frame_with_the_next_seq_and_no_other():
 
 
 @pytest.mark.parametrize('type_, data, cause', [
-    (0x77, b'unknown', ''), (32, b'\5', LENGTH), (32, b'\xff\x7f\0\0\0\0', IMPLAUSIBLE)])
+    (0x77, b'unknown', UNKNOWN), (32, b'\5', LENGTH), (32, b'\xff\x7f\0\0\0\0', IMPLAUSIBLE)])
 def test_an_mcu_time_is_for_no_frame_behind_an_unknown_or_invalid_one_with_the_next_seq(
         type_, data, cause):
     row, = mcu_messages({'force': ROW})

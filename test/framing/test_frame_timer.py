@@ -97,7 +97,6 @@ def test_a_frame_in_pieces_is_received_within_its_time(make, false_start, size, 
         line.receive(wire[at:at + 1])
         line.wait(pause if at + 1 < len(wire) else 0.0)
     assert [raw for _, raw in line.got] == [wire]
-    assert not any(line.decoder.errors.values())
 
 
 @LINKS
@@ -109,4 +108,4 @@ def test_a_decoder_that_was_reset_begins_anew(make, false_start, size, wire):
     line.now += 1.0
     line.receive(false_start + false_start)
     line.wait(TIMEOUT - 0.001)
-    assert line.decoder.pending and not any(line.decoder.errors.values())
+    assert line.decoder.pending and not line.got

@@ -10,8 +10,8 @@ from board_rows import car_settings as arduino_settings
 from board_rows import mcu_settings
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.rows import RowError, SettingMessage, message_of
-from serial_communication.framing.layout import Value
+from serial_communication.framing.rows import RowError
+from serial_communication.framing.layout import Value, shortest
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
 
 KP = {'setting': 1, 'layout': '<f', 'minimum': 0.0, 'maximum': 10.0, 'unit': '1/s',
@@ -31,17 +31,17 @@ LINKS = [pytest.param(arduino.encode_raw, arduino.Decoder, id='arduino'),
 
 @pytest.mark.parametrize('encode_raw, decoder', LINKS)
 def test_a_setting_on_the_wire(encode_raw, decoder):
-    kind = message_of([row()])
+    kind = row().message
     frame, = decoder(messages=[kind]).feed(b'\0' * (decoder is not mcu.Decoder)
                                            + encode_raw(253, b'\1' + struct.pack('<f', 2.2)))
-    assert frame.message == (1, 2.2) and not frame.cause
+    assert frame.message == (1, pytest.approx(2.2)) and not frame.cause
     assert str(frame.message) == 'setting number=1 kp=2.2 1/s'
     assert kind(1, 2.2).pack() == b'\1\xcd\xcc\x0c\x40'
 
 
 @pytest.mark.parametrize('encode_raw, decoder', LINKS)
 def test_a_setting_without_a_row_is_no_error_and_one_of_the_wrong_length_is(encode_raw, decoder):
-    made = decoder(messages=[message_of([row()])])
+    made = decoder(messages=[row().message])
     frames = [made.feed(encode_raw(253, data))[0] for data in (
         b'\2\7\0', b'\1\0\0\0', b'\1' + struct.pack('<f', math.nan), b'')]
     assert [frame.cause for frame in frames] == ['', LENGTH, IMPLAUSIBLE, LENGTH]
@@ -52,7 +52,7 @@ def test_a_setting_without_a_row_is_no_error_and_one_of_the_wrong_length_is(enco
 @pytest.mark.parametrize('decoder', [arduino.Decoder, arduino.BoardDecoder])
 @pytest.mark.parametrize('value', [math.nan, math.inf])
 def test_a_value_that_is_no_number_is_invalid_also_without_check_plausibility(decoder, value):
-    made = decoder(check_plausibility=False, messages=[message_of([row()])])
+    made = decoder(check_plausibility=False, messages=[row().message])
     frames = [made.feed(arduino.encode_raw(253, b'\1' + struct.pack('<f', number)))[0]
               for number in (value, 2.0)]
     assert [(frame.cause, frame.message) for frame in frames] == [
@@ -66,16 +66,17 @@ def test_a_value_that_is_no_number_is_invalid_also_without_check_plausibility(de
     ('f', 0.1, b'\xcd\xcc\xcc\x3d', '0.1')])
 def test_values_of_every_layout(code, value, data, text):
     setting = row(layout='<' + code, minimum=None, maximum=None, unit=None)
-    kind = message_of([setting])
+    kind = setting.message
     assert setting.checked(value) == value and type(setting.checked(value)) is type(value)
     message = kind(1, value)
-    assert message.pack() == b'\1' + data and kind.unpack(b'\1' + data) == message
+    assert message.pack() == b'\1' + data
+    assert kind.unpack(b'\1' + data) == (1, pytest.approx(value))
     assert str(message) == f'setting number=1 kp={text}'
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))
 def test_a_float_has_the_fewest_digits_that_are_this_float32(number):
-    short = message_of([row()]).unpack(b'\1' + struct.pack('<f', number)).value
+    short = shortest(number)
     assert struct.pack('<f', short) == struct.pack('<f', number)
     assert len(repr(short)) <= len(repr(number))
 
@@ -149,5 +150,4 @@ def test_no_two_settings_have_one_number():
 
 
 def test_the_number_of_a_setting_and_of_a_message_are_not_the_same():
-    assert (row().number_key, row().number) == ('setting', 1)
-    assert SettingMessage.TYPE == 253
+    assert (row().number_key, row().number, row().message.TYPE) == ('setting', 1, 253)

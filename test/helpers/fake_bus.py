@@ -9,6 +9,16 @@ from serial_communication.boards.bus import wire as bus
 AIR = bus.Environment(350, 25.63, 48.12)
 
 
+def lift(direction, distance):
+    """A move of the lift."""
+    return bus.LIFT_FUNCTION.make_request((direction, distance))
+
+
+def gimbal(direction, angle):
+    """A turn of the gimbal."""
+    return bus.GIMBAL_FUNCTION.make_request((direction, angle))
+
+
 class FakeBus:
     """Answers every request as usual, or as `rule` and `script` say.
 

@@ -4,6 +4,7 @@ For the test of linear cost. Depends on the protocol code alone.
 """
 from typing import Any, Callable, List, NamedTuple
 
+from fake_bus import lift
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
@@ -42,7 +43,7 @@ def _clean_replies() -> bytes:
 
 
 def _clean_requests() -> bytes:
-    return bus.encode_request(bus.ENVIRONMENT_REQUEST) * 4 + bus.encode_request(bus.lift(0, 100))
+    return bus.encode_request(bus.ENVIRONMENT_REQUEST) * 4 + bus.encode_request(lift(0, 100))
 
 
 def _clean_mcu() -> bytes:

@@ -7,6 +7,7 @@ import pytest
 from board_rows import car_settings
 
 from serial_communication.framing.rows import BOARD, SettingMessage
+from serial_communication.framing.stream import Decoder
 from serial_communication.link.settings import BoardSettings
 from serial_communication.link.sparing_log import SparingLog
 
@@ -21,11 +22,11 @@ class Rig:
     def __init__(self, caplog=None, rows=ROWS, announced=False):
         self.now = 100.0
         self.sent = []            # (time, number, value)
-        self.kinds = []
         self.woken = 0
         self.is_current = False
         log = SparingLog('arduino', logging.getLogger('rig'))
-        self.settings = BoardSettings(log, self.kinds.append, self._wake)
+        self.decoder = Decoder()
+        self.settings = BoardSettings(log, self.decoder, self._wake)
         self.remove = {row.name: self.settings.add(replace(
             row, origin=BOARD) if announced else row) for row in car_settings(rows)}
 
@@ -34,14 +35,15 @@ class Rig:
 
     def report(self, number, value):
         """The board reports a value."""
-        self.settings.received(self.kinds[-1](number, value), self.is_current)
+        kind = self.decoder.messages[bytes((number,))]
+        self.settings.received(kind(number, value), self.is_current)
 
     def step(self, seconds=0.0):
         """Let so much time pass, calling `send` when it asks for it."""
         end = self.now + seconds
         while True:
             messages, due = self.settings.send(self.now, self.is_current)
-            self.sent += [(round(self.now, 3), *self.kinds[-1].unpack(message.pack()))
+            self.sent += [(round(self.now, 3), *message.unpack(message.pack()))
                           for message in messages]
             if due is None or due > end:
                 self.now = end

@@ -150,7 +150,7 @@ class Calibration(ArduinoTest):
         self.speed.publish(value=500)
         self.steering.publish(value=1000)
         self.led.publish('brake')
-        for command in ('speed 500', 'steering 1000', 'LED brake'):
+        for command in ('speed 500', 'steering 1000', "LED 'brake'"):
             ROSOUT.wait_for(self.node, command + ' refused: the board calibrates its IMU',
                             Log.WARN)
         self.board.say(arduino.Voltage(12.0))        # no IMU data: goes on

@@ -26,7 +26,7 @@ KINDS = (
      arduino.encode(arduino.SpeedCommand(501))),
     ('steering', SteeringPWMCommand(value=1600), 'steering 1600', SteeringPWMCommand(value=1700),
      arduino.encode(arduino.SteeringCommand(1700))),
-    ('led', String('left'), "LED left", String('right'),
+    ('led', String('left'), "LED 'left'", String('right'),
      arduino.encode(arduino.LedCommand('right'))),
     ('heater', Temperature(temperature=30), 'heater temperature=30', Temperature(temperature=31),
      arduino.encode_raw(60, bytes((31, 0)))),

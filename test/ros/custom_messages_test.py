@@ -223,7 +223,7 @@ class FromTheSensors(unittest.TestCase):
             mcu.encode_raw(0x20, next(seqs) % 256, b'\xff\xff')))
         frames = Topic('/serial_msg', SerialMsg)
         self.addCleanup(frames.close)
-        for data, error in ((b'\1\0\0', 'length: cliff frame with 3 bytes of data where 2 is'),
+        for data, error in ((b'\1\0\0', 'length: cliff with 3 bytes of data where 2 is'),
                             (struct.pack('<H', 2001), 'implausible: cliff: range is 2.001, out'),
                             (struct.pack('<H', 2000), '')):
             frames.first(lambda m, e=error: m.type == 0x20 and m.error.startswith(e),

@@ -45,8 +45,6 @@ class McuTest(unittest.TestCase):
         """Send `frame` until its message is received, and return that."""
         def send():
             self.board.write(frame if isinstance(frame, bytes) else mcu.encode(frame, 0))
-            # The same frame twice in a row would count as doubled.
-            self.board.write(mcu.encode_raw(0x7F, 0, b''))
         topic = self.topic(name, message_class)
         try:
             return topic.first(condition, doing=send)

@@ -14,7 +14,7 @@ from boards import (PACKAGE, Bridge, CarBoard, Diagnostics, Line, Rosout, again_
 from serial_communication.boards.arduino import DESCRIPTION
 from serial_communication.boards.arduino import wire
 from serial_communication.simulation.announcing import chunks_of
-from serial_communication.framing.rows import SettingMessage, message_of
+from serial_communication.framing.stream import SETTING
 
 NAME = '/' + PACKAGE + '/settings/arduino'
 ROWS = {
@@ -24,7 +24,7 @@ ROWS = {
     'reverse': {'setting': 3, 'layout': '<?'},
     'rate': {'setting': 4, 'layout': '<I'},      # which no test sets
 }
-KIND = message_of(DESCRIPTION.read('settings', ROWS))
+KINDS = {row.number: row.message for row in DESCRIPTION.read('settings', ROWS)}
 GAIN = 'gain: {setting: 7, layout: "<B", minimum: 1, maximum: 9}\n'
 
 
@@ -34,7 +34,7 @@ class TunableCar(CarBoard):
     def __init__(self, line):
         self.start_again()
         self.hears = True
-        super().__init__(line, [KIND])
+        super().__init__(line, KINDS.values())
 
     def start_again(self):
         """As after a reset."""
@@ -43,18 +43,18 @@ class TunableCar(CarBoard):
     def take(self, frame):
         super().take(frame)
         message = frame.message
-        if isinstance(message, SettingMessage) and self.hears and message.number in self.values:
-            self.values[message.number] = min(message.value, 5.0) if message.number == 1 else \
-                message.value
-            self.report(message.number)
+        number = frame.data[0] if frame.type == SETTING else None
+        if self.hears and number in self.values:
+            self.values[number] = min(round(message[1], 6), 5.0) if number == 1 else message[1]
+            self.report(number)
 
     def report(self, number):
         """Send the value of a setting."""
-        self.write(wire.encode(KIND(number, self.values[number])))
+        self.write(wire.encode(KINDS[number](number, self.values[number])))
 
     def settings(self):
         """What it has been sent."""
-        return [tuple(message) for message in self.messages(SettingMessage)]
+        return [tuple(message) for message in self.messages() if message.TYPE == SETTING]
 
 
 class SettingsTest(unittest.TestCase):

@@ -74,7 +74,7 @@ class StopTest(BoardsTest):
         self.assertEqual(status.level, WARN)
         self.assertTrue(self.stop(False).success)
         until(lambda: (0.5, -0.1) in self.motions(), 'it drives again')
-        self.assertNotIn(bus.lift(0, 10), self.board.moves())
+        self.assertNotIn(bus.LIFT_FUNCTION.make_request((0, 10)), self.board.moves())
         diagnostics.fresh('bus', lambda status: status.keys['condition'] == 'ok', 'condition ok')
 
 

@@ -183,7 +183,7 @@ class Robot:
         """Call the bus; `told` gets what its caller is told: a word, the data and a text. Return
         whether it may be repeated, and how long it takes once it is its turn, at most."""
         request = bus_wire.Request(cmd1, cmd2, data)
-        function = self.functions.get(name) or bus_wire.built_in(request, bus_wire.RAW)
+        function = self.functions.get(name) or bus_wire.BUILT_IN.get(request[:2], bus_wire.RAW)
         call = self.link.submit(request, function)
         finish = call.finish
 

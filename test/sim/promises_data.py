@@ -36,7 +36,7 @@ def values_are_of_frames(e: Evidence) -> Verdicts:
     """Every published value was in a valid frame, once, in order."""
     if e.kind == 'bus':
         return
-    frames, index = [frame for frame in valid(e.readable) if not _doubled(e, frame)], 0
+    frames, index = valid(e.readable), 0
     for time, name, values, _stamp in e.story.robot.published:
         if name not in ALL_NAMES:
             continue
@@ -85,7 +85,7 @@ def frames_are_published(e: Evidence) -> Verdicts:
             or frame.type == 32 and overlaps(
                 rows_change + e.events('reset', 'silence') + e.stalls[0],
                 frame.time, frame.time, 14.0 if e.story.announces else 0.0) \
-            or frame.type in (9, 10, 7) and implausible(frame) or _doubled(e, frame) \
+            or frame.type in (9, 10, 7) and implausible(frame) \
             or frame.time - frame.begun > 0.04 or overlaps(
                 e.events('altered'), frame.begun - 1.0, frame.time, 0.6) \
             or any(0.04 < frame.begun - chunk.time < 0.06 for chunk in e.story.device.bridge_read) \
@@ -106,13 +106,6 @@ def are_implausible(type_: int, values: Tuple) -> bool:
     if type_ == IMU:
         return not 0.95 < sum(each * each for each in values[:4]) ** 0.5 / 16384 < 1.05
     return not 0 <= values[0] <= (100 if type_ == 10 else 1024)
-
-
-def _doubled(e: Evidence, frame: At) -> bool:
-    """The line has doubled a frame with a number: its copy is dropped."""
-    return e.kind == 'mcu' and any(
-        other.first < frame.first and other.number == frame.number and other.data == frame.data
-        and frame.time - other.time < 0.01 for other in e.readable)
 
 
 def stamps_are_of_the_read(e: Evidence) -> Verdicts:

@@ -99,7 +99,7 @@ def test_a_reset_sends_chatter_and_clears_the_state():
     logs = []
     for _ in range(100):
         bench.run(1)
-        logs += bench.messages(arduino.Log)
+        logs += bench.messages(arduino.Text)
     boots = len(bench.notes('boot'))
     assert boots > 4 and logs.count(arduino.LOGS[1]('IMU ready')) == boots
 
@@ -146,7 +146,7 @@ def test_every_measurement_has_the_time_of_a_clock_that_drifts(make_one, ppm):
     bench = make_one(f'drift={ppm}')
     bench.run(2)
     measured = [(time, ticks) for message, time, ticks in timed(bench)
-                if not isinstance(message, arduino.Log)]
+                if not isinstance(message, arduino.Text)]
     assert len(measured) >= 40
     assert [ticks for _, ticks in measured] == pytest.approx(
         [(time - 1000.0) * (1e6 + ppm) for time, _ in measured], abs=1)

@@ -10,6 +10,7 @@ import pytest
 from lines import ROOT
 from waiting import PATIENCE, until
 
+from fake_bus import lift
 from serial_communication.boards.bus import wire as bus
 from links import BusLink
 from serial_communication.boards.bus.simulator import ControlBoard
@@ -72,7 +73,7 @@ def test_a_link_of_the_bridge_opens_it_again_and_again(link):
         for distance in 10, 20:
             bridge = BusLink(Port(link))
             bridge.start()
-            until(lambda: bridge.request(bus.lift(0, distance)).success, 'SYNC, and a move')
+            until(lambda: bridge.request(lift(0, distance)).success, 'SYNC, and a move')
             bridge.stop()
             bridge.join(PATIENCE)
 

@@ -53,7 +53,7 @@ def test_chunks_are_sent_ten_times_a_second_at_first_and_then_once(board, decode
     assert [chunk.index for chunk in chunks] == [n % size for n in range(len(chunks))]
     assert list(filter(None, map(Assembly().add, chunks))) == [TEXT * times]
     announced(bench, 1.0)
-    assert len(announced(bench, 5.0)) in (5, 6) and not any(bench.decoder.errors.values())
+    assert len(announced(bench, 5.0)) in (5, 6)
     assert announced(Bench(board(), decoder()), 5.0) == []
 
 

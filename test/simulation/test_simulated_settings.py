@@ -5,7 +5,8 @@ import pytest
 
 from serial_communication.boards import description
 from serial_communication.framing.announcement import Assembly, Chunk, read_announcement
-from serial_communication.framing.rows import SettingMessage, message_of
+from serial_communication.framing.rows import SettingMessage
+from serial_communication.framing.stream import SETTING
 from serial_communication.simulation.custom_messages import Configured, announced_text
 from serial_communication.simulation.line import SimulatedLine
 
@@ -23,7 +24,7 @@ class Bench:
         make = import_module(f'serial_communication.boards.{name}.simulator').BOARD
         self.board = make(settings=config.settings, announcement=text)
         self.decoder = self.description.decoder(False, {'settings': rows})
-        self.kind = message_of(config.settings)
+        self.kinds = {row.number: row.message for row in config.settings}
         self.sent = []
         self.line = SimulatedLine(self.board, self._write)
         self.now = 100.0
@@ -42,11 +43,12 @@ class Bench:
         wire = import_module(f'serial_communication.boards.{self.description.name}.wire')
         extra = (3,) if self.description.name == 'mcu' else ()
         before = b'\0' * (not extra)
-        self.line.receive(before + wire.encode(self.kind(number, value), *extra), self.now)
+        self.line.receive(before + wire.encode(self.kinds.get(number, SettingMessage)(
+            number, value), *extra), self.now)
         self.step(0.05)
 
     def settings(self):
-        found = [tuple(message) for message in self.sent if isinstance(message, SettingMessage)]
+        found = [tuple(message) for message in self.sent if message.TYPE == SETTING]
         self.sent.clear()
         return found
 

@@ -95,9 +95,9 @@ def test_an_arduino_packet_is_explained_by_its_values(case):
         raw = [part.raw for part in each.parts if part.name not in ('COBS code', 'type', 'end')]
         assert raw == list(struct.unpack('>11h', hexed(case['payload'])))
     elif 'value' in case:
-        name = 'text' if isinstance(case['value'], str) else 'value'
-        assert value_of(each, name) == (case['value'] if name == 'text'
-                                        else pytest.approx(case['value']))
+        value = case['value']
+        assert value_of(each, 'value') == (
+            value if isinstance(value, str) else pytest.approx(value))
 
 
 # -- damage ---------------------------------------------------------------------------------------

@@ -49,7 +49,7 @@ def bag_of(path, frames, topic='/serial_msg', began=1763769600.5):
 def printed(path, frames):
     began = datetime(2026, 1, 1, 23, 59, 59, 900000)
     lines = [f'{began + timedelta(seconds=at):%H:%M:%S.%f}  {"+20.00 ms" if at else "":>12}  '
-             f'{frame.hex(" "):48}  sensor status: 1 mm +2 s' for at, frame in frames]
+             f'{frame.hex(" "):48}  sensor status range_1=1 +2 s' for at, frame in frames]
     path.write_text('\n'.join(['/dev/ttyUSB0: open', *lines]) + '\n')
     return path
 

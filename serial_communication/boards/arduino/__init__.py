@@ -2,17 +2,17 @@
 from typing import Any, Mapping
 
 from ...framing.layout import Layout, Value
-from ...framing.row_reader import RESERVED, Group
-from ...framing.rows import Kind, Row, Setting, message_of
-from ...framing.stream import Decoder
+from ...framing.row_reader import Group
+from ...framing.rows import Kind, Row, Setting
+from ...framing.stream import SETTING, Decoder
 from ..description import Description, Service, Topic
 from . import wire
 
 
 def _decoder(sent: bool, parameters: Mapping[str, Any]) -> Decoder:
     rows = DESCRIPTION.read_all(parameters)
-    kinds = [row.message for row in rows if row.kind is (Kind.TO if sent else Kind.FROM)]
-    kinds.append(message_of(row for row in rows if row.kind is Kind.SETTING))
+    kinds = [row.message for row in rows
+             if row.kind in (Kind.TO if sent else Kind.FROM, Kind.SETTING)]
     return wire.BoardDecoder(messages=kinds) if sent else wire.Decoder(messages=kinds)
 
 
@@ -38,7 +38,7 @@ DESCRIPTION = Description(
              layout=Layout('<s', [Value('data')]))),
     groups=(
         Group('messages', '~', (Kind.FROM, Kind.TO),
-              [type_ for type_ in range(RESERVED) if type_ not in wire.BUILT_IN],
+              [type_ for type_ in range(SETTING) if type_ not in wire.BUILT_IN],
               wire.MAX_PACKET - 1),
         Group('settings', '~settings/arduino/', (Kind.SETTING,), make=Setting)),
     topics=(

@@ -7,8 +7,7 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tu
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
-from ...framing.rows import SettingMessage
-from ...framing.stream import Frame
+from ...framing.stream import SETTING, Frame
 from ...link.outcome import STOPPED
 from ...link.session import OK, WARN, Condition, Packet, Refused, Session
 from ...link.settings import BoardSettings
@@ -25,7 +24,7 @@ _BOARD_LINES = 100, 10.0     # log lines of the board that are taken: in a burst
 _CALIBRATES = 'the board calibrates its IMU, which takes minutes'
 _RESET = 'the board was reset: the calibration is over'
 _HEARTBEAT = wire.Heartbeat()
-_STILL = wire.SteeringCommand, wire.LedCommand, SettingMessage    # what ~stop does not refuse
+_STILL = wire.SteeringCommand.TYPE, wire.LedCommand.TYPE, SETTING    # what ~stop does not refuse
 _OVERHEAD = 4            # bytes of a packet besides its data, at most
 
 
@@ -62,7 +61,7 @@ class CarSession(Session):
                  byte_time: float = 10 / 115200) -> None:
         decoder = wire.Decoder(options.check_plausibility)
         super().__init__(decoder, log, options.network_silence)
-        self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake())
+        self.board_settings = BoardSettings(log, decoder, lambda: self.wake())
         self.heartbeats = Heartbeats(options.heartbeat_rate)
         self.calibration: Optional[Calibration] = None
         self._options = options
@@ -89,7 +88,7 @@ class CarSession(Session):
 
     def _moves(self, message: Any) -> bool:
         """Whether it may make the board move something; of a custom command nobody knows."""
-        return not isinstance(message, _STILL) and not self._is_zero(message)
+        return message.TYPE not in _STILL and not self._is_zero(message)
 
     def _is_zero(self, message: Any) -> bool:
         motion = self._motions.get(message.TYPE)
@@ -126,7 +125,7 @@ class CarSession(Session):
         return self._packets([*zeros, request], now)
 
     def may_be_old(self, request: Any) -> bool:
-        return self._is_zero(request) or isinstance(request, SettingMessage)
+        return self._is_zero(request) or request.TYPE == SETTING
 
     def beat(self, now: float) -> Tuple[List[Packet], float]:
         messages: List[Any] = []
@@ -224,15 +223,15 @@ class CarSession(Session):
 
     def received(self, frame: Frame, now: float) -> None:
         message = frame.message
-        if isinstance(message, wire.Log):
+        if frame.type < len(wire.LOGS):
             if self._board_lines.take(now):
-                self._on_log(message.TYPE, message.text)
+                self._on_log(frame.type, message.value)
             else:
                 self.log.warn('chatter', 'the board logs too much (over {} lines at once or {:g} a '
                               'second): some lines are left out'.format(*_BOARD_LINES))
         elif isinstance(message, Chunk):
             self.announcement.add(message)
-        elif isinstance(message, SettingMessage):
+        elif frame.type == SETTING:
             self.board_settings.received(message, self.announcement.is_current)
         elif not isinstance(message, wire.Time):
             calibration = self.calibration      # a reset may set it to None

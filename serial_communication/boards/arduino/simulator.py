@@ -24,8 +24,8 @@ from typing import Any, Deque, Optional, Sequence
 
 from ...framing.layout import LayoutMessage
 from ...framing.rotation import quaternion
-from ...framing.rows import Kind, Row, Setting, SettingMessage
-from ...framing.stream import Frame
+from ...framing.rows import Kind, Row, Setting
+from ...framing.stream import SETTING, Frame
 from ...simulation.board import Board, positive
 from ...simulation.custom_messages import CustomMessagePlayer
 from ...transport.pace import Every
@@ -88,7 +88,8 @@ class ModelCar(Board):
                  period: float = PERIOD) -> None:
         self._custom = CustomMessagePlayer(custom, announcement, settings)
         super().__init__(wire.BoardDecoder(messages=[
-            self._custom.setting_kind, *(row.message for row in custom if row.kind is Kind.TO)]))
+            *(row.message for row in settings),
+            *(row.message for row in custom if row.kind is Kind.TO)]))
         self.motor_on = False
         self.command = 0           # the SPEED at which the motor runs; 0 if it is off
         self.velocity = 0.0        # m/s
@@ -153,10 +154,10 @@ class ModelCar(Board):
         elif isinstance(message, wire.SteeringCommand):
             self._servo_target = float(min(max(message.value, SERVO_MIN), SERVO_MAX))
         elif isinstance(message, wire.LedCommand):
-            self._set_led(message.text)
+            self._set_led(message.value)
         elif isinstance(message, wire.ImuCalibration):
             self._calibrate(now)
-        elif isinstance(message, SettingMessage):
+        elif frame.type == SETTING and not frame.cause:
             for answer in self._custom.use(message):
                 self.line.say(str(answer))
                 self._send(answer)

@@ -11,14 +11,14 @@ limits. doc/protocols.md lists the decisions where the source says nothing.
 import struct
 from collections import namedtuple
 from math import pi
-from typing import Any, Dict, Iterable, List, Tuple, Type
+from typing import Any, Iterable, List, Tuple, Type
 
 from ...framing import announcement, cobs, stream
-from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type, message_class,
-                               readable)
+from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, brief,
+                               message_class, readable)
 from ...framing.rows import SettingMessage
-from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN, Frame, frame_of,
-                               invalid_frame)
+from ...framing.stream import (FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, SETTING, UNKNOWN, Frame,
+                               by_type, invalid_frame)
 
 MAX_PACKET = 256                        # type and data, decoded
 _MAX_ENCODED = MAX_PACKET + 2           # the same, encoded
@@ -33,37 +33,28 @@ Vector = Tuple[float, float, float]
 Quaternion = Tuple[float, float, float, float]      # x, y, z, w
 
 
-class Log(LayoutMessage, namedtuple('Log', 'text')):
-    """A log line, board -> us; a class of its own for each severity: see `LOGS`.
-
-    Control characters and bad UTF-8 in the text are replaced.
-    """
+class Text(LayoutMessage, namedtuple('Text', 'value')):
+    """A text, sent with a 0x00 at its end; control characters and bad UTF-8 are replaced."""
 
     __slots__ = ()
-    LAYOUT = Layout('<s', [Value('text')])     # usually ended by 0x00
+    LAYOUT = Layout('<s', [Value('value')])
 
     @classmethod
-    def unpack(cls, data: bytes) -> 'Log':
+    def unpack(cls, data: bytes) -> 'Text':
         text = data.split(b'\0', 1)[0].decode('utf-8', 'replace')
         return tuple.__new__(cls, (readable(text.rstrip('\r\n')),))
 
-    def implausible(self) -> str:
-        """Why this cannot be a log line, or ''. A damaged packet may have type 0 … 3, too, but
-        most of its characters are unreadable."""
-        unreadable = self.text.count('\N{REPLACEMENT CHARACTER}')
-        if 2 * unreadable <= len(self.text):
-            return ''
-        return f'{unreadable} of {len(self.text)} characters are unreadable'
-
     def pack(self) -> bytes:
-        return self.text.encode() + b'\0'
+        return super().pack() + b'\0'
 
-    def __str__(self) -> str:
-        return f'{self.LABEL}: {self.text}'
+    def implausible(self) -> str:
+        # A damaged packet may have the type of a log line, too, but is mostly unreadable.
+        is_readable = 2 * self.value.count('\N{REPLACEMENT CHARACTER}') <= len(self.value)
+        return '' if is_readable else 'most of its characters are unreadable'
 
 
-# By type, which is the severity: 0 … 3.
-LOGS: List[Any] = [type(label, (Log,), {'__slots__': (), 'TYPE': type_, 'LABEL': label})
+# Log lines, board -> us, by their type, which is the severity: 0 … 3.
+LOGS: List[Any] = [type(label, (Text,), {'__slots__': (), 'TYPE': type_, 'LABEL': label})
                    for type_, label in enumerate(('DEBUG', 'INFO', 'WARN', 'ERROR'))]
 SpeedCommand = message_class(
     'SpeedCommand', 4, '<h', [Value('value')], 'speed',
@@ -73,25 +64,18 @@ SteeringCommand = message_class(
     'STEERING_CMD, us -> board: PWM of the steering servo, µs.')
 
 
-class LedCommand(LayoutMessage, namedtuple('LedCommand', 'text')):
+class LedCommand(Text):
     """LED_CMD, us -> board: left, right, brake, disable …: at most 30 characters of ASCII."""
 
     __slots__ = ()
     TYPE = 6
     LABEL = 'LED'
-    LAYOUT = Layout('<s', [Value('text')])
 
     def pack(self) -> bytes:
-        """The data; ValueError for a text that is too long, not ASCII, or has a NUL: its end."""
-        if len(self.text) > LED_LIMIT:
-            raise ValueError(f'LED text has {len(self.text)} characters, may have at most '
-                             f'{LED_LIMIT}')
-        if not self.text.isascii() or '\0' in self.text:
-            raise ValueError(f'LED text {self.text!r} must be ASCII, without a NUL')
-        return self.text.encode('ascii') + b'\0'
-
-    def __str__(self) -> str:
-        return f'LED {readable(self.text)}'
+        if len(self.value) > LED_LIMIT or not self.value.isascii() or '\0' in self.value:
+            raise ValueError(f'LED text {brief(self.value, 30)} may have at most {LED_LIMIT} '
+                             'characters of ASCII, without a NUL')
+        return super().pack()
 
 
 SteeringAngle = message_class(
@@ -174,7 +158,7 @@ TO_BOARD = (SpeedCommand, SteeringCommand, LedCommand, Heartbeat, ImuCalibration
 # A custom message has none of these types.
 BUILT_IN = by_type(*FROM_BOARD, *TO_BOARD, *LOGS, Time, SettingMessage, announcement.Chunk)
 # TIME does not count packets of these types.
-_UNTIMED = frozenset((0, 1, 2, 3, SettingMessage.TYPE, announcement.TYPE))
+_UNTIMED = frozenset((0, 1, 2, 3, SETTING, announcement.TYPE))
 
 
 def encode(message: Any) -> bytes:
@@ -204,17 +188,16 @@ class _Decoder(stream.Decoder):
         messages: classes of custom messages: see `message_class`. Their limits are always checked.
     """
 
+    CAUSES = FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE
     needed = _MAX_ENCODED      # bytes of the longest packet: no packet says how long it is
-    MESSAGES: Dict[int, Any] = {}
 
     def __init__(self, check_plausibility: bool = True,
                  messages: Iterable[Type[LayoutMessage]] = ()) -> None:
-        super().__init__(FRAMING, OVERSIZE, LENGTH, UNKNOWN, IMPLAUSIBLE)
+        super().__init__(messages)
         # A count over 16 in TIME would give its time to packets of later measurements, and a
         # setting that is NaN is never equal to what is wanted.
-        self._unchecked = frozenset(
-            () if check_plausibility else self.MESSAGES.keys() - {Time.TYPE, SettingMessage.TYPE})
-        self.messages = {**self.MESSAGES, **by_type(*messages)}
+        if not check_plausibility:
+            self.unchecked = frozenset(self.MESSAGES.keys() - {Time.TYPE, SETTING})
 
     def _begin(self) -> None:
         self._begun = b''          # the incomplete packet; of one that is too long, its beginning
@@ -239,47 +222,30 @@ class _Decoder(stream.Decoder):
     def give_up(self) -> List[Frame]:
         frames: List[Frame] = []
         if self._begun:
-            self.errors[FRAMING] += 1
             frames.append(invalid_frame(self._begun, FRAMING, 'an incomplete packet', self._stamp))
         self.reset()
         return frames
 
     def _packet(self, encoded: bytes, stamp: Any, behind: int) -> Frame:
-        raw = encoded + b'\0'
         packet = cobs.decode_or_none(encoded)
-        if len(encoded) > _MAX_ENCODED or packet and len(packet) > MAX_PACKET:
-            return self._bad(encoded[:_MAX_ENCODED + 1], OVERSIZE,
-                             f'a packet of over {MAX_PACKET} bytes', stamp)
-        if not packet:
-            return self._bad(raw, FRAMING, 'a packet without a type' if packet == b'' else
-                             'a COBS code points past the end of the packet', stamp)
-        type_, data = packet[0], packet[1:]
-        kind = self.messages.get(type_)
-        if kind is None:
-            return self._bad(raw, UNKNOWN, f'message type {type_} is unknown', stamp, type_, data)
-        try:
-            message = kind.unpack(data)
-        except struct.error:
-            return self._bad(raw, LENGTH, f'{kind.LABEL} packet with {len(data)} bytes of data '
-                             f'where {kind.layout_of(data).sizes()} is right', stamp, type_, data)
-        reason = type_ not in self._unchecked and message.implausible()
-        if reason:
-            return self._bad(raw, IMPLAUSIBLE, f'{kind.LABEL}: {reason}', stamp, type_, data)
-        ticks = None
-        if kind is Time:
-            self._ticks, self._timed = message
-        elif self._timed and type_ not in _UNTIMED:
+        if not packet or len(packet) > MAX_PACKET:
+            self._timed = 0
+            if packet or len(encoded) > _MAX_ENCODED:
+                return invalid_frame(encoded[:_MAX_ENCODED + 1], OVERSIZE,
+                                     f'a packet of over {MAX_PACKET} bytes', stamp)
+            return invalid_frame(encoded + b'\0', FRAMING, 'a packet without a type'
+                                 if packet == b'' else
+                                 'a COBS code points past the end of the packet', stamp)
+        type_, ticks = packet[0], None
+        if self._timed and type_ not in _UNTIMED:
             self._timed -= 1
             ticks = self._ticks
-        if kind.TICKS_AT is not None:
-            ticks = message[kind.TICKS_AT]
-        return frame_of((raw, type_, 0, data, message, stamp, '', '', ticks, behind))
-
-    def _bad(self, raw: bytes, cause: str, error: str, stamp: Any, type_: int = 0,
-             data: bytes = b'') -> Frame:
-        self.errors[cause] += 1
-        self._timed = 0      # the packet may have been one of those that TIME counts
-        return invalid_frame(raw, cause, error, stamp, type_, data)
+        frame = self.whole(encoded + b'\0', type_, 0, packet[1:], ticks, stamp, behind)
+        if frame.cause:
+            self._timed = 0      # it may have been one of the packets that TIME counts
+        elif type_ == Time.TYPE:
+            self._ticks, self._timed = frame.message
+        return frame
 
 
 class Decoder(_Decoder):

@@ -55,7 +55,7 @@ class Master:
     def make(self, request: wire.Request, function: wire.Function, now: float,
              on_success: Optional[OnSuccess] = None, is_poll: bool = False) -> Call:
         """A call, to be submitted."""
-        moves = wire.built_in(request, function).moves      # a raw request may be one, too
+        moves = wire.BUILT_IN.get(request[:2], function).moves      # a raw request may be one, too
         timeout = self._options.motion_timeout if moves else self._options.reply_timeout
         return Call(request, function, function.timeout or timeout, 1 + self._options.retries, now,
                     is_poll, on_success)

@@ -110,11 +110,7 @@ class AnnouncementReader:
         return None
 
     def _take(self, chunk: Chunk, now: float) -> Optional[bytes]:
-        try:
-            text = self._assembly.add(chunk)
-        except ValueError as error:
-            self._log.warn('announcement', str(error))
-            return self._assembly.whole(b'')
+        text = self._assembly.add(chunk)
         if self._assembly.complete:
             self._failures = 0
             return text

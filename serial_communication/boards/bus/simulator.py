@@ -247,7 +247,7 @@ class ControlBoard(Board):
             return wire.Reply(wire.OK, request.data)
         if request.cmd2 not in (wire.LIFT, wire.GIMBAL):
             return _error(wire.UNSUPPORTED)
-        directions = wire.built_in(request, wire.RAW).directions
+        directions = wire.BUILT_IN[request[:2]].directions
         if len(request.data) != 2 or request.data[0] >= len(directions):
             return _error(wire.MALFORMED)
         direction, amount = request.data

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Sequence, Tuple, Union
 
 from ...framing import announcement
-from ...framing.layout import Layout, LayoutMessage, Value
+from ...framing.layout import Layout, Value, message_class
 from ...framing.rows import Kind, Row
-from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, Bad, Good, Need,
-                               StreamDecoder, running_xor)
+from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, Frame, StreamDecoder, frame_of,
+                               invalid_frame, running_xor)
 
 STANDARD_FLAG = 0xA5
 LONG_FLAG = 0x5A
@@ -64,14 +64,10 @@ class Request(namedtuple('Request', 'cmd1 cmd2 data', defaults=(0, b''))):
     text = ''     # of an own function's: its name and values
 
     def __str__(self) -> str:
-        if self.text:
-            return self.text
-        if self.cmd1 == SYNC:
-            return 'SYNC'
-        if self.cmd1 == ECHO:
-            return f'ECHO {self.data.hex()}'
-        text = built_in(self, RAW).describe(self.data)
-        return text or f'request 0x{self.cmd1:02x} 0x{self.cmd2:02x} {self.data.hex()}'
+        function = BUILT_IN.get(self[:2])
+        return self.text or (
+            function.describe(self.data) if function else
+            f'request 0x{self.cmd1:02x} 0x{self.cmd2:02x} {self.data.hex()}'.rstrip())
 
 
 class Reply(namedtuple('Reply', 'cmd1 data cmd2', defaults=(b'', 0))):
@@ -92,25 +88,13 @@ class Reply(namedtuple('Reply', 'cmd1 data cmd2', defaults=(b'', 0))):
         name = REPLY_NAMES.get(self.cmd1, f'reply 0x{self.cmd1:02x}')
         if self.cmd1 in (ERROR, INVALID):
             return f'{name} {describe_error(self.error_code)}'
-        if self.cmd1 == OK and len(self.data) == Environment.LAYOUT.size:
-            return f'OK {self.data.hex()} (if environment: {Environment.unpack(self.data)})'
         return f'{name} {self.data.hex()}'.rstrip()
 
 
-class Environment(LayoutMessage, namedtuple('Environment', 'smoke temperature humidity')):
-    """The DATE of an OK reply to the environment request: smoke raw, the rest in steps of 0.01."""
-
-    __slots__ = ()
-    LAYOUT = Layout('<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
-                             Value('humidity', '%', 0.01)])
-
-    @classmethod
-    def unpack(cls, data: bytes) -> 'Environment':
-        smoke, temperature, humidity = cls.LAYOUT.raw(data)
-        return cls(smoke, temperature / 100, humidity / 100)
-
-    def __str__(self) -> str:
-        return f'smoke {self.smoke}, {self.temperature:.2f} C, {self.humidity:.2f} %'
+# The DATE of an OK reply to the environment request.
+Environment = message_class(
+    'Environment', ENVIRONMENT, '<HhH', [Value('smoke'), Value('temperature', '°C', 0.01),
+                                         Value('humidity', '%', 0.01)], 'environment')
 
 
 def describe_error(code: int) -> str:
@@ -142,12 +126,10 @@ class Function(Row):
         return request
 
     def describe(self, data: bytes) -> str:
-        """A built-in request with this DATE in words; '' if it does not fit."""
-        if self is ENVIRONMENT_FUNCTION and not data:
-            return 'environment?'
+        """A built-in request with this DATE, in words."""
         if self.directions and len(data) == 2 and data[0] < len(self.directions):
             return f'{self.name} {self.directions[data[0]]} {data[1]} {self.layout.values[1].unit}'
-        return ''
+        return f'{self.name} {data.hex()}'.rstrip()
 
     def data_error(self, reply: Reply) -> Tuple[str, str]:
         """The cause, LENGTH or IMPLAUSIBLE, and what is wrong with the DATE of an OK; '' if nothing
@@ -160,13 +142,10 @@ class Function(Row):
         return IMPLAUSIBLE, self.reply.implausible(self.reply.unpack(reply.data))
 
     def name_reply(self, reply: Reply) -> Reply:
-        """The same reply. If the function has a key, the text of an OK with fitting data has the
-        function's name."""
-        if not self.key or reply.cmd1 != OK or not self.reply.fits(len(reply.data)):
-            return reply
-        named = Reply(*reply)
-        named.text = f'{self.name} OK {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
-        return named
+        """Let the text of an OK with fitting data have the function's name."""
+        if reply.cmd1 == OK and self.reply is not ANY_DATA and self.reply.fits(len(reply.data)):
+            reply.text = f'{self.name} OK {self.reply.text(self.reply.unpack(reply.data))}'.rstrip()
+        return reply
 
 
 def _move(name: str, cmd2: int, directions: Tuple[str, ...], amount: Value) -> Function:
@@ -176,8 +155,8 @@ def _move(name: str, cmd2: int, directions: Tuple[str, ...], amount: Value) -> F
 
 
 RAW = Function('raw', layout=ANY_DATA, reply=ANY_DATA)    # any request of ~bus/request
-SYNC_FUNCTION = Function('sync', cmd1=SYNC, reply=ANY_DATA, repeatable=True)
-ECHO_FUNCTION = Function('echo', cmd1=ECHO, layout=ANY_DATA, reply=ANY_DATA, repeatable=True)
+SYNC_FUNCTION = Function('SYNC', cmd1=SYNC, reply=ANY_DATA, repeatable=True)
+ECHO_FUNCTION = Function('ECHO', cmd1=ECHO, layout=ANY_DATA, reply=ANY_DATA, repeatable=True)
 LIFT_FUNCTION = _move('lift', LIFT, ('up', 'down'), Value('distance', 'mm'))
 GIMBAL_FUNCTION = _move('gimbal', GIMBAL, ('left', 'right', 'up', 'down'),
                         Value('angle', 'degrees'))
@@ -191,25 +170,8 @@ ANNOUNCEMENT = Function(
 BUILT_IN = {(function.cmd1, function.number): function for function in (
     SYNC_FUNCTION, ECHO_FUNCTION, LIFT_FUNCTION, GIMBAL_FUNCTION, ENVIRONMENT_FUNCTION,
     ANNOUNCEMENT)}
-
-
-def built_in(request: Request, otherwise: Function) -> Function:
-    """The built-in function that a request calls; else the other one."""
-    return BUILT_IN.get((request.cmd1, request.cmd2), otherwise)
-
-
 SYNC_REQUEST = SYNC_FUNCTION.make_request(())
 ENVIRONMENT_REQUEST = ENVIRONMENT_FUNCTION.make_request(())
-
-
-def lift(direction: int, distance: int) -> Request:
-    """A move of the lift: 0 up, 1 down; 0 … 255 mm. ValueError for any other value."""
-    return LIFT_FUNCTION.make_request((direction, distance))
-
-
-def gimbal(direction: int, angle: int) -> Request:
-    """A turn of the gimbal: 0 left, 1 right, 2 up, 3 down; 0 … 255 degrees. ValueError likewise."""
-    return GIMBAL_FUNCTION.make_request((direction, angle))
 
 
 def echo(data: bytes) -> Request:
@@ -259,32 +221,32 @@ class _Decoder(StreamDecoder):
     STARTS = bytes((STANDARD_FLAG, LONG_FLAG))
     _commands = 1
 
-    def _good(self, size: int, commands: bytes, data: bytes) -> Good:
+    def _whole(self, raw: bytes, commands: bytes, data: bytes) -> Frame:
         raise NotImplementedError
 
-    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
+    def frame_at(self, at: int) -> Union[Frame, int, None]:
         buffer = self.buffer
         left = len(buffer) - at
         if buffer[at] == STANDARD_FLAG:
             if left < 2:
-                return Need(2)
+                return 2
             header, length = 2, buffer[at + 1]
             is_invalid = length >= 255
         else:
             if left < 3:
-                return Need(3)
+                return 3
             header, length = 3, buffer[at + 1] | buffer[at + 2] << 8
             is_invalid = length < 255
         if is_invalid or length > MAX_LENGTH:
-            return NO_FRAME
+            return None
         size = header + self._commands + length + 1
         if left < size:
-            return Need(size)
+            return size
         end = at + size
         if self.xor(at, end):
-            return Bad(size, CHECKSUM, 'the checksum does not match')
+            return invalid_frame(buffer[at:end], CHECKSUM, 'the checksum does not match')
         data_at = end - 1 - length
-        return self._good(size, buffer[at + header:data_at], buffer[data_at:end - 1])
+        return self._whole(buffer[at:end], buffer[at + header:data_at], buffer[data_at:end - 1])
 
 
 class ReplyDecoder(_Decoder):
@@ -298,9 +260,9 @@ class ReplyDecoder(_Decoder):
         super().__init__()
         self._commands = 2 if has_cmd2 else 1
 
-    def _good(self, size: int, commands: bytes, data: bytes) -> Good:
+    def _whole(self, raw: bytes, commands: bytes, data: bytes) -> Frame:
         reply = Reply(commands[0], data, commands[1] if len(commands) > 1 else 0)
-        return Good(size, reply.cmd1, 0, data, reply)
+        return frame_of((raw, commands[0], 0, data, reply, None, '', '', None, 0))
 
 
 class RequestDecoder(_Decoder):
@@ -309,14 +271,14 @@ class RequestDecoder(_Decoder):
     _commands = 2
     _ENVIRONMENT = encode_request(ENVIRONMENT_REQUEST)
 
-    def _good(self, size: int, commands: bytes, data: bytes) -> Good:
-        return Good(size, commands[0], commands[1], data, Request(commands[0], commands[1], data))
+    def _whole(self, raw: bytes, commands: bytes, data: bytes) -> Frame:
+        return Frame(raw, commands[0], commands[1], data, Request(commands[0], commands[1], data))
 
-    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
+    def frame_at(self, at: int) -> Union[Frame, int, None]:
         begun = self.buffer[at:at + len(self._ENVIRONMENT)]
         if begun == self._ENVIRONMENT:
-            return self._good(len(begun), begun[2:4], b'')
+            return self._whole(begun, begun[2:4], b'')
         found = super().frame_at(at)
-        if isinstance(found, Need) and self._ENVIRONMENT.startswith(begun):
-            return Need(len(begun) + 1)
+        if isinstance(found, int) and self._ENVIRONMENT.startswith(begun):
+            return len(begun) + 1
         return found

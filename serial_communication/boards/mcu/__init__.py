@@ -1,9 +1,9 @@
 """The ESP32 with two range sensors and an IMU, or with ADC channels."""
 from typing import Any, Mapping
 
-from ...framing.row_reader import RESERVED, Group
-from ...framing.rows import Kind, Setting, message_of
-from ...framing.stream import Decoder
+from ...framing.row_reader import Group
+from ...framing.rows import Kind, Setting
+from ...framing.stream import SETTING, Decoder
 from ..description import Description, Service, Topic
 from . import wire
 
@@ -12,16 +12,14 @@ _STATUS = 1.0     # s; the longest period: the status of a silent board is publi
 
 def _decoder(_sent: bool, parameters: Mapping[str, Any]) -> Decoder:
     # The board reads settings alone, and these have one format in both directions.
-    rows = DESCRIPTION.read_all(parameters)
-    return wire.Decoder([*(row.message for row in rows if row.kind is Kind.FROM),
-                         message_of(row for row in rows if row.kind is Kind.SETTING)])
+    return wire.Decoder(row.message for row in DESCRIPTION.read_all(parameters))
 
 
 DESCRIPTION = Description(
     'mcu', __name__, _decoder, 'sensor board',
     groups=(
         Group('messages', 'mcu/', (Kind.FROM,),
-              [type_ for type_ in range(RESERVED) if type_ not in wire.BUILT_IN],
+              [type_ for type_ in range(SETTING) if type_ not in wire.BUILT_IN],
               wire.MAX_PAYLOAD),
         Group('settings', '~settings/mcu/', (Kind.SETTING,), make=Setting)),
     topics=(

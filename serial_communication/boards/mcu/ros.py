@@ -84,11 +84,9 @@ class BoardBinder(Binder):
                                              radians(message.yaw) * self._turn))
 
     def _silent(self, kind: Optional[Type[LayoutMessage]], seq: int, age: float) -> None:
-        kind = kind or wire.SensorStatus
-        if kind in self._statuses:      # custom messages have none: their topics are silent, too
-            topic, readings = self._statuses[kind]
-            topic.publish(rospy.Time.now(), seq, False, False, self._session.checksum_errors, age,
-                          *readings)
+        topic, readings = self._statuses[kind or wire.SensorStatus]
+        topic.publish(rospy.Time.now(), seq, False, False, self._session.checksum_errors, age,
+                      *readings)
 
 
 def _metres(millimetres: int, low: float, high: float) -> float:

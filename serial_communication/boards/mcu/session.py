@@ -3,8 +3,7 @@ from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple, Type
 
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
-from ...framing.rows import SettingMessage
-from ...framing.stream import CHECKSUM, IMPLAUSIBLE, LENGTH, Frame
+from ...framing.stream import CHECKSUM, IMPLAUSIBLE, LENGTH, SETTING, UNKNOWN, Frame
 from ...link.session import Packet, Session
 from ...link.settings import BoardSettings
 from ...link.sparing_log import SparingLog
@@ -12,13 +11,11 @@ from ...transport.pace import clock
 from . import wire
 
 _STATUS_PERIOD = 1.0   # s between two reports of silence
-_DOUBLED = 0.01        # s; the same bytes again within this are one frame, doubled on the line
 
 
 class _Latest(NamedTuple):
-    """The latest message of one TYPE."""
+    """The latest message of one class."""
 
-    kind: Optional[Type[LayoutMessage]]
     seq: int
     received_at: float
     silent_at: float     # when its absence is reported next
@@ -30,10 +27,10 @@ class SensorSession(Session):
     Args:
         timeout: s without a valid frame after which the board counts as silent.
         on_status: called with the (message, seq, stamp) of each valid frame.
-        on_silence: called once a second with (class, seq, age) for each class of message that the
-            board has sent and no longer sends: the last seq, and the seconds since that message.
-            The class is None until the board has sent a built-in message, and the age counts from
-            the start, or from the latest custom message.
+        on_silence: called once a second with (class, seq, age) for each class of built-in message
+            that the board has sent and no longer sends: the last seq, and the seconds since that
+            message. The class is None until the board has sent one, and the age counts from the
+            start, or from the latest custom message.
         now: the clock: the watchdog runs from the start, also without a port.
     """
 
@@ -47,18 +44,17 @@ class SensorSession(Session):
                  network_silence: float = 5.0, now: Callable[[], float] = clock) -> None:
         decoder = wire.Decoder()
         super().__init__(decoder, log, network_silence)
-        self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake())
+        self.board_settings = BoardSettings(log, decoder, lambda: self.wake())
         self.checksum_errors = 0        # those before the frame that is delivered
-        self._lost = self._doubled = 0  # frames
+        self._lost = 0                  # frames
         self._heard_at = float('-inf')  # a message of any class
         self._timeout = timeout
         self._on_status, self._on_silence = on_status, on_silence
         self._last: Optional[Frame] = None      # since the link began anew
-        self._last_at = 0.0                     # when it was received
         self._seq = 0                           # of the next frame to the board
-        # By TYPE; by None until the board has sent a message.
-        self._latest: Dict[Optional[int], _Latest] = {
-            None: _Latest(None, 0, now(), now() + timeout)}
+        # Of built-in messages; by None until the board has sent one.
+        self._latest: Dict[Optional[Type[LayoutMessage]], _Latest] = {
+            None: _Latest(0, now(), now() + timeout)}
 
     def begin(self, now: float, is_opening: bool) -> None:
         if is_opening:
@@ -70,57 +66,48 @@ class SensorSession(Session):
 
     def received(self, frame: Frame, now: float) -> None:
         message = frame.message
-        if self._follow_seq(frame, now):
-            return
+        self._follow_seq(frame)
         if isinstance(message, Chunk):
             self.announcement.add(message)
-        elif isinstance(message, SettingMessage):
+        elif frame.type == SETTING:
             self.board_settings.received(message, self.announcement.is_current)
-        # None: a valid frame of an unknown type
-        elif message is not None and not isinstance(message, wire.Time):
+        elif not isinstance(message, wire.Time):
             self._heard_at = now
-            if frame.type in wire.MESSAGES:
+            kind = type(message) if frame.type in wire.MESSAGES else None
+            if kind:
                 self._latest.pop(None, None)
-            elif None in self._latest:      # custom messages have no status of their own
-                self._latest[None] = _Latest(None, 0, now, now + self._timeout)
-            self._latest[frame.type] = _Latest(type(message), frame.number, now,
-                                               now + self._timeout)
+            if kind or None in self._latest:      # custom messages have no status of their own
+                self._latest[kind] = _Latest(frame.number, now, now + self._timeout)
             if not self.announcement.holds_back(message):
                 self._on_status(message, frame.number, frame.stamp)
 
     def damaged(self, frame: Frame, now: float) -> None:
         # A status reports the errors before its own frame.
         self.checksum_errors += frame.cause == CHECKSUM
-        if frame.cause in (LENGTH, IMPLAUSIBLE):     # its CRC matches, so its SEQ counts
-            self._follow_seq(frame, now)
+        if frame.cause in (LENGTH, IMPLAUSIBLE, UNKNOWN):     # its CRC matches, so its SEQ counts
+            self._follow_seq(frame)
 
-    def _follow_seq(self, frame: Frame, now: float) -> bool:
-        """Count the frames lost before this one; return whether the line has only doubled it, which
-        is counted instead."""
-        last = self._last
-        if last is not None and last.raw == frame.raw and now < self._last_at + _DOUBLED:
-            self._doubled += 1
-            return True
-        if last is not None and last.raw != frame.raw:
-            self._lost += (frame.number - last.number - 1) % 256
-        self._last, self._last_at = frame, now
-        return False
+    def _follow_seq(self, frame: Frame) -> None:
+        """Count the frames lost before this one."""
+        if self._last is not None and self._last.raw != frame.raw:     # else the line doubled it
+            self._lost += (frame.number - self._last.number - 1) % 256
+        self._last = frame
 
     def due(self, now: float, is_drained: bool) -> Tuple[List[Packet], Optional[float]]:
         messages, due = self.board_settings.send(now, self.announcement.is_current)
         silent_at = self.idle(now)
         return list(map(self._packet, messages)), silent_at if due is None else min(due, silent_at)
 
-    def _packet(self, message: SettingMessage) -> Packet:
+    def _packet(self, message: LayoutMessage) -> Packet:
         data, seq = message.pack(), self._seq
         self._seq = (seq + 1) % 256
         return Packet(wire.encode_raw(message.TYPE, seq, data), message.TYPE, seq, data, message)
 
     def idle(self, now: float) -> float:
-        for type_, (kind, seq, received_at, silent_at) in self._latest.items():
+        for kind, (seq, received_at, silent_at) in self._latest.items():
             if now >= silent_at:
-                self._latest[type_] = _Latest(kind, seq, received_at,
-                                              max(silent_at + _STATUS_PERIOD, now))
+                self._latest[kind] = _Latest(seq, received_at,
+                                             max(silent_at + _STATUS_PERIOD, now))
                 self._on_silence(kind, seq, now - received_at)
         return min(latest.silent_at for latest in self._latest.values())
 
@@ -128,5 +115,4 @@ class SensorSession(Session):
         return now < self._heard_at + self._timeout
 
     def values(self) -> List[Tuple[str, Any]]:
-        return [('frames lost', self._lost), ('frames doubled', self._doubled),
-                *self.board_settings.values()]
+        return [('frames lost', self._lost), *self.board_settings.values()]

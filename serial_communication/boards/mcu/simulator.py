@@ -15,8 +15,8 @@ import math
 from random import Random
 from typing import Any, Iterable, Optional, Sequence
 
-from ...framing.rows import Row, Setting, SettingMessage
-from ...framing.stream import Frame
+from ...framing.rows import Row, Setting
+from ...framing.stream import SETTING, Frame
 from ...simulation.board import Board, positive
 from ...simulation.custom_messages import CustomMessagePlayer
 from ...transport.pace import Every
@@ -71,7 +71,7 @@ class SensorBoard(Board):
                  custom: Iterable[Row] = (), imu: bool = True,
                  announcement: Optional[bytes] = None, settings: Sequence[Setting] = ()) -> None:
         self._custom = CustomMessagePlayer(custom, announcement, settings)
-        super().__init__(wire.Decoder([self._custom.setting_kind]))
+        super().__init__(wire.Decoder(row.message for row in settings))
         self.seq = 0        # of the next frame
         self._adc = adc
         self._imu = imu
@@ -102,7 +102,7 @@ class SensorBoard(Board):
         return min(self._pace.due, self._custom.due() or math.inf)
 
     def frame(self, frame: Frame, now: float) -> None:
-        if isinstance(frame.message, SettingMessage):
+        if frame.type == SETTING and not frame.cause:
             for answer in self._custom.use(frame.message):
                 self.line.say(str(answer))
                 self._send(answer)

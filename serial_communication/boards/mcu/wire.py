@@ -11,14 +11,13 @@ a frame, modulo 256. Little-endian. Only the board sends, except for settings.
 import struct
 from collections import namedtuple
 from math import isnan, nan
-from typing import Iterable, Optional, Type, Union
+from typing import Optional, Union
 
 from ...framing.announcement import Chunk
-from ...framing.layout import (BOARD_TIME, Layout, LayoutMessage, Value, by_type,
-                               message_class)
+from ...framing.layout import BOARD_TIME, Layout, LayoutMessage, Value, message_class
 from ...framing.rows import SettingMessage
-from ...framing.stream import (CHECKSUM, IMPLAUSIBLE, LENGTH, NO_FRAME, UNKNOWN, Bad, Good, Need,
-                               StreamDecoder, running_xor)
+from ...framing.stream import (CHECKSUM, FRAMING, IMPLAUSIBLE, LENGTH, UNKNOWN, Frame,
+                               StreamDecoder, by_type, invalid_frame, running_xor)
 
 STX = 0x02
 ETX = 0x03
@@ -26,8 +25,6 @@ MIN_LEN = 2            # TYPE and SEQ
 MAX_PAYLOAD = 253      # bytes
 RANGE_TIMED_OUT = 0xFFFF  # in place of a range: the sensor timed out
 ANGLE_UNKNOWN = -0x8000   # pitch and roll where the IMU did not answer: no attitude has -327.68°
-
-_WRAP = 0x10000        # by which a heading over 327.67° wraps in the int16; 0.01°
 
 
 class SensorStatus(LayoutMessage, namedtuple(
@@ -53,7 +50,7 @@ class SensorStatus(LayoutMessage, namedtuple(
         if pitch == roll == ANGLE_UNKNOWN:    # yaw alone cannot tell: it may be a heading
             return cls(range_1, range_2, nan, nan, nan)
         if yaw < -18000:
-            yaw += _WRAP
+            yaw += 0x10000
             yaw -= 36000 * (yaw > 36000)
         return tuple.__new__(cls, (range_1, range_2, yaw / 100, pitch / 100, roll / 100))
 
@@ -73,12 +70,6 @@ class SensorStatus(LayoutMessage, namedtuple(
     def valid(self) -> bool:
         """Whether all sensors answered."""
         return RANGE_TIMED_OUT not in (self.range_1, self.range_2) and self.angles_known
-
-    def __str__(self) -> str:
-        ranges = ' '.join('timed out' if value == RANGE_TIMED_OUT else f'{value} mm'
-                          for value in (self.range_1, self.range_2))
-        angles = f'yaw {self.yaw:.2f} pitch {self.pitch:.2f} roll {self.roll:.2f}'
-        return f"sensor status: {ranges}, {angles if self.angles_known else 'angles unknown'}"
 
 
 AdcStatus = message_class(
@@ -108,56 +99,36 @@ def encode_raw(type_: int, seq: int, payload: bytes) -> bytes:
 
 
 class Decoder(StreamDecoder):
-    """Decodes what the board sends. The `message` of a frame of unknown TYPE is None.
+    """Decodes what the board sends, and settings in both directions."""
 
-    Args:
-        messages: classes of custom messages: see `message_class`.
-    """
-
+    MESSAGES = BUILT_IN
+    CAUSES = CHECKSUM, FRAMING, UNKNOWN, LENGTH, IMPLAUSIBLE
     STARTS = bytes((STX,))
-
-    def __init__(self, messages: Iterable[Type[LayoutMessage]] = ()) -> None:
-        super().__init__(UNKNOWN, LENGTH, IMPLAUSIBLE)
-        self.messages = {**BUILT_IN, **by_type(*messages)}
 
     def _begin(self) -> None:
         super()._begin()
         self._ticks: Optional[int] = None    # of a TIME that was the latest frame
         self._timed_seq = -1                 # the SEQ of the frame that it is for
 
-    def frame_at(self, at: int) -> Union[Good, Bad, Need]:
+    def frame_at(self, at: int) -> Union[Frame, int, None]:
         buffer = self.buffer
         left = len(buffer) - at
         if left < 3:
-            return Need(3)
+            return 3
         length, type_ = buffer[at + 1], buffer[at + 2]
         if length < MIN_LEN or _LENS.get(type_, length) != length:
-            return NO_FRAME
+            return None
         size = length + 4
         if left < size:
-            return Need(size)
+            return size
         end = at + size
         if buffer[end - 1] != ETX:
-            return NO_FRAME
+            return None
         if self.xor(at + 2, end - 1):    # TYPE … CRC: 0 in a valid frame
-            return Bad(size, CHECKSUM, 'CRC does not match')
-        data = buffer[at + 4:end - 2]
-        seq, kind = buffer[at + 3], self.messages.get(type_)
+            return invalid_frame(buffer[at:end], CHECKSUM, 'CRC does not match')
+        seq, data = buffer[at + 3], buffer[at + 4:end - 2]
         ticks = self._ticks if seq == self._timed_seq else None
-        self._ticks, self._timed_seq = None, -1
-        if kind is None:
-            return Good(size, type_, seq, data, None)
-        try:
-            message = kind.unpack(data)
-        except struct.error:
-            return Good(size, type_, seq, data, None, LENGTH, f'{kind.LABEL} frame with '
-                        f'{len(data)} bytes of data where {kind.layout_of(data).sizes()} '
-                        'is right')
-        reason = message.implausible()
-        if reason:
-            return Good(size, type_, seq, data, None, IMPLAUSIBLE, f'{kind.LABEL}: {reason}')
-        if kind.TICKS_AT is not None:
-            ticks = message[kind.TICKS_AT]
-            if kind is Time:
-                self._ticks, self._timed_seq = ticks, (seq + 1) % 256
-        return Good(size, type_, seq, data, message, ticks=ticks)
+        frame = self.whole(buffer[at:end], type_, seq, data, ticks)
+        is_time = type_ == Time.TYPE and not frame.cause
+        self._ticks, self._timed_seq = frame.ticks, (seq + 1) % 256 if is_time else -1
+        return frame

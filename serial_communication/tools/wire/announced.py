@@ -25,10 +25,7 @@ class Learner:
         """Take a frame; return all custom messages and settings of the line if they have changed,
         else []."""
         chunk = self._chunk(sent, frame)
-        try:
-            text = self._assembly.add(chunk) if chunk else None
-        except ValueError:
-            return []       # too long
+        text = self._assembly.add(chunk) if chunk else None
         board, parameters = self.line.board, dict(self._configured)
         if text is None or not board.groups:
             return []

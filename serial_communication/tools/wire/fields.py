@@ -10,7 +10,7 @@ from ...boards.arduino import wire as arduino
 from ...boards.bus import wire as bus
 from ...boards.mcu import wire as mcu
 from ...framing.layout import Layout, Value
-from ...framing.stream import FRAMING, Frame, StreamDecoder
+from ...framing.stream import FRAMING, SETTING, Frame, StreamDecoder
 from . import lines
 
 NOT_KNOWN = 'not known here'       # the meaning of a number that has none
@@ -124,7 +124,9 @@ class Explainer:
         """The layout of these data, and the names of all types; `type_` begins with its type."""
         messages = self.decoder.messages
         kind = messages.get(type_[0]) if type_ else None
-        return (kind and kind.layout_of(data),
+        if kind and kind.TYPE == SETTING:
+            kind = messages.get(data[:1], kind)
+        return (kind and kind.LAYOUT,
                 {number: each.LABEL for number, each in messages.items()})
 
     def _cobs(self, raw: bytes, frame: Frame) -> List[Part]:

@@ -19,7 +19,7 @@ import time
 from datetime import datetime
 from typing import Any, Optional
 
-from ...framing.rows import Kind, message_of
+from ...framing.rows import Kind
 from ...framing.stream import Frame, FrameTimer
 from ...transport.port import Port, PortError
 from . import lines
@@ -117,10 +117,6 @@ class _Listener:
 
     def _learn(self, decoder: Any, frame: Frame) -> None:
         """Make the decoder know what the board announces."""
-        rows = self._learner.take(False, frame)
-        settings = [row for row in rows if row.kind is Kind.SETTING]
-        for row in rows:
-            if row.kind is Kind.FROM:
+        for row in self._learner.take(False, frame):
+            if row.kind in (Kind.FROM, Kind.SETTING):
                 decoder.add_message(row.message)
-        if settings:
-            decoder.add_message(message_of(settings))

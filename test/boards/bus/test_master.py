@@ -6,6 +6,7 @@ import logging
 
 import pytest
 
+from fake_bus import gimbal, lift
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import session
 from serial_communication.boards.bus.master import Master, MasterOptions
@@ -20,8 +21,8 @@ from serial_communication.link.sparing_log import SparingLog
 AIR = bus.Environment(350, 25.63, 48.12).pack()
 NUMBER = Layout('<H', [Value('number', maximum=999)])
 FUNCTIONS = {
-    'lift': (bus.lift(0, 100), bus.LIFT_FUNCTION),
-    'gimbal': (bus.gimbal(1, 30), bus.GIMBAL_FUNCTION),
+    'lift': (lift(0, 100), bus.LIFT_FUNCTION),
+    'gimbal': (gimbal(1, 30), bus.GIMBAL_FUNCTION),
     'air': (bus.ENVIRONMENT_REQUEST, bus.ENVIRONMENT_FUNCTION),
     'raw': (bus.Request(bus.FUNCTION, 0x30, b'raw'), bus.RAW),
     'echo': (bus.echo(b'mine'), bus.ECHO_FUNCTION), 'sync': (bus.SYNC_REQUEST, bus.SYNC_FUNCTION),

@@ -6,11 +6,12 @@ from hypothesis import strategies as st
 from simulation_bench import Bench
 
 from board_rows import functions
+from fake_bus import gimbal, lift
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.simulator import ControlBoard
 
 SYNC = bus.encode_request(bus.SYNC_REQUEST)
-LIFT_10 = bus.encode_request(bus.lift(0, 10))
+LIFT_10 = bus.encode_request(lift(0, 10))
 STOP = bus.Request(bus.FUNCTION, 0x2F)
 STOPS = functions({'halt': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True,
                             'interrupts': True}})
@@ -38,10 +39,10 @@ def damaged(frame):
 
 def test_refuses_requests_before_sync():
     bench = make(synchronised=False)
-    assert ask(bench, bus.lift(0, 10)) == [bus.Reply(bus.INVALID, b'\x10')]
+    assert ask(bench, lift(0, 10)) == [bus.Reply(bus.INVALID, b'\x10')]
     assert bench.board.lift.at(bench.now) == 500
     assert ask(bench, bus.SYNC_REQUEST) == [bus.Reply(bus.SYNC)]
-    assert ask(bench, bus.lift(0, 10)) == [bus.Reply(bus.OK)]
+    assert ask(bench, lift(0, 10)) == [bus.Reply(bus.OK)]
 
 
 @pytest.mark.parametrize('size', [0, 4, 254, 255, 1024])
@@ -52,7 +53,7 @@ def test_echo(size):
 
 def test_lift_moves_by_the_requested_distance_at_its_speed():
     bench = make()
-    bench.feed(bus.encode_request(bus.lift(1, 200)))
+    bench.feed(bus.encode_request(lift(1, 200)))
     bench.run(1.0)
     assert bench.board.lift.at(bench.now) == pytest.approx(400)
     assert bench.messages() == []
@@ -64,10 +65,10 @@ def test_lift_moves_by_the_requested_distance_at_its_speed():
 
 def test_lift_refuses_to_leave_its_range():
     bench = make()
-    assert [ask(bench, bus.lift(0, 250)) for _ in range(2)] == 2 * [[bus.Reply(bus.OK)]]
-    assert ask(bench, bus.lift(0, 1)) == [bus.Reply(bus.ERROR, b'\x02\x80')]
+    assert [ask(bench, lift(0, 250)) for _ in range(2)] == 2 * [[bus.Reply(bus.OK)]]
+    assert ask(bench, lift(0, 1)) == [bus.Reply(bus.ERROR, b'\x02\x80')]
     assert bench.board.lift.at(bench.now) == 1000
-    assert ask(bench, bus.lift(1, 255)) == [bus.Reply(bus.OK)]
+    assert ask(bench, lift(1, 255)) == [bus.Reply(bus.OK)]
     assert len(bench.notes('executed')) == 4     # SYNC and three moves
 
 
@@ -75,14 +76,14 @@ def test_lift_refuses_to_leave_its_range():
     (0, 30, 30, 0), (1, 30, -30, 0), (2, 90, 0, 90), (3, 90, 0, -90)])
 def test_gimbal(direction, angle, pan, tilt):
     bench = make()
-    assert ask(bench, bus.gimbal(direction, angle)) == [bus.Reply(bus.OK)]
+    assert ask(bench, gimbal(direction, angle)) == [bus.Reply(bus.OK)]
     assert (bench.board.pan.at(bench.now), bench.board.tilt.at(bench.now)) == (pan, tilt)
 
 
 @pytest.mark.parametrize('direction, angle', [(0, 171), (1, 171), (2, 91), (3, 91)])
 def test_gimbal_limits(direction, angle):
     bench = make()
-    assert ask(bench, bus.gimbal(direction, angle)) == [bus.Reply(bus.ERROR, b'\x02\x80')]
+    assert ask(bench, gimbal(direction, angle)) == [bus.Reply(bus.ERROR, b'\x02\x80')]
     assert (bench.board.pan.at(bench.now), bench.board.tilt.at(bench.now)) == (0, 0)
 
 
@@ -115,8 +116,8 @@ def test_environment(datelen):
 
 def test_replies_with_cmd2_or_data_or_none_to_echo():
     assert ask(make(echoes=False), bus.echo(b'1')) == []
-    assert ask(make(ok_data=b'\1\2'), bus.lift(0, 1)) == [bus.Reply(bus.OK, b'\1\2')]
-    assert ask(make(reply_has_cmd2=True), bus.lift(0, 1)) == [bus.Reply(bus.OK, b'', 0x20)]
+    assert ask(make(ok_data=b'\1\2'), lift(0, 1)) == [bus.Reply(bus.OK, b'\1\2')]
+    assert ask(make(reply_has_cmd2=True), lift(0, 1)) == [bus.Reply(bus.OK, b'', 0x20)]
 
 
 def test_damaged_request_gets_one_invalid_after_a_silence():
@@ -155,7 +156,7 @@ def test_requests_during_a_motion_are_answered_after_it():
 
 def test_a_function_that_interrupts_ends_the_motion():
     bench = make(custom=STOPS)
-    bench.feed(bus.encode_request(bus.lift(0, 100)) + bus.encode_request(bus.gimbal(0, 30)))
+    bench.feed(bus.encode_request(lift(0, 100)) + bus.encode_request(gimbal(0, 30)))
     bench.run(0.5)
     bench.feed(bus.encode_request(STOP))
     assert bench.messages() == [bus.Reply(bus.ERROR, b'\2\x80'), bus.Reply(bus.OK)]
@@ -166,7 +167,7 @@ def test_a_function_that_interrupts_ends_the_motion():
 
 def test_reset_forgets_the_sync_and_leaves_the_lift_where_it_is():
     bench = make()
-    bench.feed(bus.encode_request(bus.lift(0, 100)))
+    bench.feed(bus.encode_request(lift(0, 100)))
     bench.run(0.5)
     bench.board.power_off(bench.now)
     bench.board.power_on(bench.now)
