@@ -1,22 +1,23 @@
 """The link to one board: a port, the session of its protocol, and the thread that drives them."""
 import operator
+import threading
 import time
 import traceback
-from typing import Any, Callable, List, Optional
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from ..framing.stream import FrameTimer
+from ..framing.stream import CHECKSUM, FRAMING, FrameTimer
 from ..transport import pace
 from ..transport.port import Port, PortError
 from .freshness import FRESH
 from .lending import Lending
+from .line import Line
 from .outcome import Refused
 from .receiver import Receiver, Traffic
 from .reopening import Reopening
-from .report import Report, report
-from .session import Doubt, Session
+from .session import ERROR, OK, WARN, Doubt, Session
 from .sparing_log import SparingLog
 from .stamps import Stamps
-from .threads import Loop, prefer
+from .threads import prefer, start
 from .writer import Writer
 
 _LONGEST_SLEEP = 0.1           # s
@@ -24,6 +25,14 @@ _LOOK_AT_SETTINGS = 1.0        # s from one look at the settings of a tty to the
 _LEAVES = 0.1                  # s for what stops to leave the port before it is closed
 _AGAIN = 0.05                  # s until what could not be written is tried again
 _NEVER = float('inf')
+
+
+class Report(NamedTuple):
+    """What /diagnostics shows of a link."""
+
+    level: int
+    summary: str
+    values: List[Tuple[str, Any]]
 
 
 class Link:
@@ -45,7 +54,8 @@ class Link:
                  earlier: Callable[[Any, float], Any] = operator.sub,
                  board_time: bool = True, now: Callable[[], float] = pace.clock) -> None:
         self.port, self.session, self.now = port, session, now
-        self.traffic = Traffic(session.NAME, session.log, session.decoder.errors)
+        session.line = Line(10.0 / port.baud, port.is_network)
+        self.traffic = Traffic(session.NAME, session.log)
         self.reopening = Reopening(port.url, session.log)
         self.writer = Writer(port, session, self.traffic, self.reopening, clock, now)
         self.lending = Lending(port, session, self.writer, now)
@@ -57,7 +67,7 @@ class Link:
         self._look_at = 0.0             # when to ask the session what is due
         self._settings_at = 0.0         # when to look at the settings of a tty
         self._publishes_at = 0.0        # what is received before is old
-        self._thread = Loop(f'{session.NAME} link', self.step, session.log)
+        self._threads: Dict[str, threading.Thread] = {}
         session.wake = self.wake
 
     @property
@@ -72,18 +82,18 @@ class Link:
 
     # -- for any thread -----------------------------------------------------------------
 
-    def loops(self) -> List[Callable[[], float]]:
-        """What the link's threads call again and again; each returns when it is due next."""
-        return [self.step, self.writer.beat] if self.session.BEATS else [self.step]
+    def loops(self) -> Dict[str, Callable[[], float]]:
+        """What each thread of the link calls again and again. It sleeps until it is due, and
+        returns when it is due next."""
+        beats = {'heartbeat': self.writer.beat} if self.session.BEATS else {}
+        return {'link': self.step, **beats}
 
     def start(self) -> None:
         """Start all threads of the link; none is started later."""
-        self._thread.start()
+        self._threads = {what: start(f'{self.name} {what}', step, self.log)
+                         for what, step in self.loops().items()}
         if self.session.BEATS:
-            beat = Loop(f'{self.name} heartbeat', self.writer.beat, self.log,
-                        lambda due: time.sleep(max(due - self.now(), 0.0)))
-            beat.start()
-            self.session.log.info('priority', prefer(beat))
+            self.log.info('priority', prefer(self._threads['heartbeat']))
 
     def stop(self) -> None:
         """Stop what moves, and send nothing after it; have the threads end."""
@@ -95,8 +105,8 @@ class Link:
 
     def join(self, timeout: float = 1.0) -> None:
         """Wait after `stop` for the port to be closed, for at most `timeout` s."""
-        if self._thread.is_alive():
-            self._thread.join(timeout)
+        if self._threads:
+            self._threads['link'].join(timeout)
 
     def wake(self) -> None:
         """Make the thread look soon for what is due, whatever is received."""
@@ -113,7 +123,43 @@ class Link:
 
     def report(self, now: float) -> Report:
         """To be called once a second: the errors since the last call are those of that second."""
-        return report(self, now)
+        session, traffic, port = self.session, self.traffic, self.port
+        if self.lending.runs:
+            level, name, summary = WARN, 'lent', f'lent to {self.lending.by}'
+        elif not port.is_open:
+            level, name, summary = ERROR, 'closed', f'closed: {self.reopening.trouble}'
+        else:
+            level, name, summary = session.condition(now)
+        errors = sum(session.errors.values()) + session.timeouts
+        new, traffic.reported_errors = errors - traffic.reported_errors, errors
+        if level == OK and new:
+            level, summary = WARN, f'{new} error{"s" if new > 1 else ""} in the last second'
+        if session.is_stopped:
+            level, name, summary = max(level, WARN), 'stopped', f'stopped by ~stop; {summary}'
+        counted = dict(session.errors)
+        frame_at, announcement = session.presence.frame_at, session.announcement
+        values = [
+            ('port', port.url),
+            ('state', summary),
+            ('condition', name),
+            ('frames received', traffic.frames_received),
+            ('frames sent', traffic.frames_sent),
+            ('bytes received', port.bytes_received),
+            ('bytes sent', port.bytes_sent),
+            ('stale', traffic.stale),
+            ('checksum errors', counted.pop(CHECKSUM, 0)),
+            ('framing errors', counted.pop(FRAMING, 0)),
+            ('reconnects', max(self.reopening.count - 1, 0)),
+            ('last frame age [s]', 'never' if frame_at is None else f'{now - frame_at:.3f}'),
+            *sorted((cause + ' errors', count) for cause, count in counted.items()),
+            *session.values(),
+            *self.receiver.stamps.values(),
+        ]
+        if announcement.rows is not None:
+            values += [('firmware', announcement.firmware),
+                       ('announced', ', '.join(announcement.rows)),
+                       ('held back', announcement.held_back)]
+        return Report(level, summary, values)
 
     # -- rounds, in the link's thread -------------------------------------------------------
 
@@ -202,8 +248,7 @@ class Link:
         stall = self._awake(now, stamp)
         if stall:       # what waited is old, and would get a new stamp
             with session.lock:
-                self.writer.begin_anew(f'the bridge stalled for {stall:.3g} s',
-                                       keeps_port=session.FENCED and self.port.is_network)
+                self.writer.begin_anew(stall, keeps_port=session.FENCED and self.port.is_network)
         if self.writer.drops_input:
             self.writer.drops_input = False
             receiver.reset()
@@ -218,8 +263,8 @@ class Link:
         frame_due = receiver.due()
         return self._look_at if frame_due is None else min(self._look_at, frame_due)
 
-    def _awake(self, now: float, stamp: Any) -> float:
-        """Return for how many seconds this thread did not run, if that was a stall, or 0.0."""
+    def _awake(self, now: float, stamp: Any) -> str:
+        """This thread runs; as `Freshness.awake`."""
         stall = self.writer.fresh.awake('link', now, stamp)
         if stall:
             self._publishes_at = now + FRESH

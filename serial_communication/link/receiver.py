@@ -1,7 +1,6 @@
 """From bytes that were read to frames in the session, and what is counted of them."""
 import traceback
-from collections import Counter
-from typing import Any, Callable, Dict, Iterable, Optional
+from typing import Any, Callable, Optional
 
 from ..framing.stream import UNKNOWN, Frame, FrameTimer, stamped
 from .session import Session
@@ -15,15 +14,14 @@ Tap = Callable[[str, int, Frame], None]      # gets the link's name, RX or TX, a
 
 
 class Traffic:
-    """The traffic of one link; the causes of errors are shown although there are none."""
+    """The traffic of one link."""
 
-    def __init__(self, name: str, log: SparingLog, causes: Iterable[str]) -> None:
+    def __init__(self, name: str, log: SparingLog) -> None:
         self.tap: Optional[Tap] = None     # called with every frame in and out; None: no listener
         self.frames_received = 0           # valid ones
         self.frames_sent = 0
         self.stale = 0                     # bytes dropped because they may be old
         self.reported_errors = 0           # those until the latest report
-        self.errors: Dict[str, int] = Counter(dict.fromkeys(causes, 0))     # by cause
         self._name, self._log = name, log
 
     def tapped(self, direction: int, frame: Frame) -> None:
@@ -89,7 +87,7 @@ class Receiver:
         # The board may still announce a type that is unknown now.
         if cause and (cause != UNKNOWN or session.announcement.on_text is None
                       or now >= session.presence.opened_at + _ANNOUNCING):
-            traffic.errors[cause] += 1
+            session.errors[cause] += 1
             if frame.cause:
                 session.log.warn(cause, f'{cause}: {frame.error}: {frame.raw[:24].hex()}')
         if frame.cause:

@@ -5,10 +5,12 @@ the link writes at once. `now` is in seconds of a clock that also runs while the
 suspended.
 """
 import threading
-from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
+from collections import Counter
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..framing.stream import Decoder, Frame
 from .announcement import BoardAnnouncement
+from .line import Line
 from .outcome import Refused  # noqa: F401  for the boards
 from .presence import Presence
 from .settings import BoardSettings
@@ -56,11 +58,15 @@ class Session:
     # True: it tells old replies from new ones by itself. What waited during a stall is decoded.
     FENCED = False
     board_settings: Optional[BoardSettings] = None      # None: the board has none
+    line: Line              # what was written; set by the link
     BEATS = False           # True: `beat` is called by a thread of its own
 
     def __init__(self, decoder: Decoder, log: SparingLog, network_silence: float = 0.0) -> None:
         self.decoder = decoder
         self.log = log
+        # By cause, those of the decoder also while there are none.
+        self.errors: Dict[str, int] = Counter(dict.fromkeys(decoder.errors, 0))
+        self.timeouts = 0           # requests without an answer
         self.lock = threading.RLock()
         self.is_stopped = False     # by ~stop: whatever moves is refused
         self.presence = Presence(log)
@@ -84,9 +90,6 @@ class Session:
 
     def not_sent(self, packet: Packet, why: str) -> None:
         """A packet could not be written."""
-
-    def dropped(self) -> None:
-        """What was written, perhaps a part of a packet, was dropped; the board reads nothing."""
 
     def end(self, why: str, now: float) -> None:
         """The port was closed."""
@@ -156,10 +159,6 @@ class Session:
     def shown(self, frame: Frame) -> Frame:
         """What `tap` gets for a received frame; called before `received`."""
         return frame
-
-    def error_count(self) -> int:
-        """Errors that only the session counts, so far."""
-        return 0
 
     def values(self) -> List[Tuple[str, Any]]:
         """Further keys and values for /diagnostics."""

@@ -12,29 +12,22 @@ _AFTER_FAULT = 0.1      # s until a thread goes on after an unexpected error
 _REALTIME_PRIORITY = 20
 
 
-class Loop(threading.Thread):
-    """Calls `step`, which returns when it is due next, until that is never.
-
-    Args:
-        wait: sleeps until then, if the step itself does not.
-    """
-
-    def __init__(self, name: str, step: Callable[[], float], log: SparingLog,
-                 wait: Callable[[float], None] = lambda due: None) -> None:
-        super().__init__(name=name, daemon=True)
-        self._step, self._log, self._wait = step, log, wait
-
-    def run(self) -> None:
-        """Errors of the step, and a lack of memory, do not end this."""
+def start(name: str, step: Callable[[], float], log: SparingLog) -> threading.Thread:
+    """Start a thread that calls a step, which sleeps until it is due, and returns when it is due
+    next, until that is never. Errors of the step, and a lack of memory, do not end it."""
+    def run() -> None:
         due = 0.0
         while due < float('inf'):
             try:
-                self._wait(due)
-                due = self._step()
+                due = step()
             except BaseException:  # pylint: disable=broad-except
                 with suppress(BaseException):       # there may be too little memory to log it
-                    self._log.error('fault', traceback.format_exc())
+                    log.error('fault', traceback.format_exc())
                 time.sleep(_AFTER_FAULT)
+
+    thread = threading.Thread(target=run, name=name, daemon=True)
+    thread.start()
+    return thread
 
 
 def prefer(thread: threading.Thread) -> str:

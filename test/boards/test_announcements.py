@@ -6,7 +6,7 @@ from serial_communication.boards.arduino import wire as arduino
 from links import ArduinoLink
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import polls
-from serial_communication.boards.bus.call import Call
+from serial_communication.boards.bus.call import MasterOptions
 from serial_communication.boards.mcu import wire as mcu
 from links import McuLink
 from serial_communication.framing.announcement import Assembly
@@ -47,7 +47,7 @@ def test_the_car_announces_a_text_once_and_a_changed_one_again(car):
     car.give(b''.join(packets(TEXT) * 2 + packets(OTHER)[:1] + packets(TEXT)) + TICKS)
     assert car.texts == [TEXT] and car.got == [arduino.Ticks(1)]
     car.give(b''.join(packets(OTHER)))
-    assert car.texts == [TEXT, OTHER] and not any(car.link.traffic.errors.values())
+    assert car.texts == [TEXT, OTHER] and not any(car.link.session.errors.values())
 
 
 def test_announced_rows_are_used_only_after_this_board_has_announced_them(car):
@@ -90,12 +90,11 @@ class Questions:
 
     def __init__(self, log=None):
         self.asked = []
-        self.question = polls.AnnouncementReader(self._ask, Assembly(), log)
+        self.question = polls.AnnouncementReader(MasterOptions(), self._ask, Assembly(), log)
         self.question.begin(0.0)
 
-    def _ask(self, request, function, now, on_success):
-        self.asked.append(Call(request, function, 0.5, 1, 0.0))
-        return self.asked[-1]
+    def _ask(self, call, now):
+        self.asked.append(call)
 
 
 @pytest.mark.parametrize('outcome', [

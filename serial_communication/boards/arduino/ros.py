@@ -63,7 +63,7 @@ class ArduinoInterface(Interface):
         session = CarSession(
             sparing_log(self.NAME), options, on_message=self._received,
             on_log=lambda severity, text: _LOG_FUNCTIONS[severity]('arduino says: %s', text),
-            on_calibrating=self._calibrating.publish, byte_time=10.0 / p['baud'])
+            on_calibrating=self._calibrating.publish)
         self.link = Link(session=session, **link_arguments(p))
         self.binder = Binder(DESCRIPTION, self.link, p)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)

@@ -16,7 +16,7 @@ from ...link.sparing_log import SparingLog
 from ...transport.pace import Allowance
 from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import BACK, Calibration
-from .heartbeats import Heartbeats, LineTime
+from .heartbeats import Heartbeats
 from .motion import Motion
 
 _LONGEST_BURST = 0.05    # s of wire time that may wait; then more commands are refused
@@ -48,7 +48,6 @@ class CarSession(Session):
         on_log: called in the link's thread with the (severity 0 … 3, text) of each log message; if
             the board sends too many, some are dropped.
         on_calibrating: called with True when a calibration begins, with False when it ends.
-        byte_time: s that the line needs for a byte.
     """
 
     NAME = DESCRIPTION.name
@@ -59,8 +58,7 @@ class CarSession(Session):
     def __init__(self, log: SparingLog, options: CarOptions = CarOptions(),
                  on_message: Callable[[Any, Any], None] = lambda message, stamp: None,
                  on_log: Callable[[int, str], None] = lambda severity, text: None,
-                 on_calibrating: Callable[[bool], None] = lambda on: None,
-                 byte_time: float = 10 / 115200) -> None:
+                 on_calibrating: Callable[[bool], None] = lambda on: None) -> None:
         decoder = wire.Decoder(options.check_plausibility)
         super().__init__(decoder, log, options.network_silence)
         self.board_settings = BoardSettings(log, decoder.add_message, lambda: self.wake())
@@ -70,8 +68,6 @@ class CarSession(Session):
         self._on_message, self._on_log, self._on_calibrating = on_message, on_log, on_calibrating
         self._motions: Dict[int, Motion] = {}      # by type
         self.add_motion(wire.SpeedCommand(0))
-        self._line = LineTime(byte_time)
-        self._is_cut = True                  # the latest packet may have been sent in part
         self._board_lines = Allowance(*_BOARD_LINES)
 
     # -- motions --------------------------------------------------------------------------
@@ -121,7 +117,7 @@ class CarSession(Session):
         if self.is_stopped and self._moves(request):
             raise Refused(STOPPED, 'stopped')
         ends = self._is_zero(request) and self._motions[request.TYPE].moves
-        if self._line.waiting(now) > _LONGEST_BURST and not ends:
+        if self.line.free_at - now > _LONGEST_BURST and not ends:
             raise Refused('the line has not sent the commands before it', 'busy')
         zeros = [motion.zero for motion in self._known() if calibrates and motion.moves]
         return self._packets([*zeros, request], now)
@@ -170,7 +166,7 @@ class CarSession(Session):
             data = message.pack()
             # A heartbeat goes before what would delay the next one too much.
             if not (message is _HEARTBEAT or self._is_zero(message)) \
-                    and self._line.delays_heartbeat(len(data) + _OVERHEAD, now) \
+                    and self.heartbeats.is_late(self.line.sent_at(len(data) + _OVERHEAD, now)) \
                     and not self.heartbeats.is_overdue(now):
                 packets.append(self._packet(_HEARTBEAT, b'', not packets))
             packets.append(self._packet(message, data, not packets))
@@ -178,15 +174,13 @@ class CarSession(Session):
 
     def _packet(self, message: Any, data: bytes, is_first: bool) -> Packet:
         # After a packet that was cut off, a 0x00 ends the part that the board has received.
-        begin = b'\0' if self._is_cut and is_first else b''
+        begin = b'\0' if self.line.is_cut and is_first else b''
         return Packet(begin + wire.encode_raw(message.TYPE, data), message.TYPE, 0, data, message)
 
     def sent(self, packet: Packet, now: float) -> None:
         message = packet.message
-        self._is_cut = False
-        self._line.wrote(len(packet.frame), now, message is _HEARTBEAT)
         if message is _HEARTBEAT:
-            self.heartbeats.count(now)
+            self.heartbeats.count(now, self.line.free_at)
         elif packet.type in self._motions:
             self._motions[packet.type].sent(message, now)
         elif isinstance(message, wire.ImuCalibration):
@@ -204,14 +198,9 @@ class CarSession(Session):
             motion.forget()
         self.board_settings.reset()
         self.heartbeats.begin(now)
-        self.dropped()
         calibration = self.calibration      # the link's thread may set it to None
         if calibration:
             calibration.watch_again(now)
-
-    def dropped(self) -> None:
-        self._line.restart()
-        self._is_cut = True
 
     def end(self, why: str, now: float) -> None:
         for motion in self._motions.values():
@@ -219,7 +208,6 @@ class CarSession(Session):
                 self.log.warn('moved', f'the port closed while the board may have been moving: '
                               f'{motion.zero} is sent first when it is open again')
             motion.forget()         # any thread may be the first to write when it is open again
-        self.dropped()
         self.heartbeats.begin(None)
         self.board_settings.reset()
 

@@ -20,7 +20,9 @@ from ...ros.parameter import Parameter, seconds
 from ...ros.publishing import publisher
 from ...ros.rows import board_parameters
 from . import DESCRIPTION, wire
-from .link import BusLink, MasterOptions, MasterSession
+from .call import MasterOptions
+from .link import BusLink
+from .session import MasterSession
 
 _DEFAULTS = MasterOptions()
 

@@ -6,7 +6,7 @@ from steps import Bus
 from serial_communication.link.session import ERROR, OK
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.master import MasterOptions
+from serial_communication.boards.bus.call import MasterOptions
 
 LIFT = bus.lift(0, 100)
 
