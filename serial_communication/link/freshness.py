@@ -1,6 +1,6 @@
 """Finds stalls: times in which a thread of the bridge did not run. What comes after one may be old.
 """
-from typing import Any, Dict
+from typing import Any, Callable, Dict
 
 STALL = 0.5     # s in which a loop does not run; longer is a stall
 FRESH = 0.5     # s after a stall in which what waited meanwhile may still arrive
@@ -25,12 +25,12 @@ class Freshness:
         self._ended = _NEVER                    # when the latest stall ended
         self._stamp: Any = None                 # the same as a stamp
 
-    def awake(self, loop: str, now: float, stamp: Any = None) -> str:
+    def awake(self, loop: str, now: float, stamp: Callable[[], Any] = lambda: None) -> str:
         """A loop runs; return what to say of the stall that this ends, or ''."""
         found = stall(now - self._awake.get(loop, now))
         self._awake[loop] = now
         if found:
-            self._ended, self._stamp = now, stamp
+            self._ended, self._stamp = now, stamp()
         return found
 
     def rest(self, loop: str) -> None:

@@ -184,7 +184,7 @@ class Link:
     def _closed_round(self) -> float:
         self.port.pause(self._due - self.now())
         now = self.now()
-        self._awake(now, self._clock())
+        self._awake(now)
         with self.session.lock:
             due = self.session.idle(now)
         if now >= self.reopening.at and not self.lending.runs and not self.writer.has_ended:
@@ -245,7 +245,7 @@ class Link:
         # The clock after that: what it takes to make its stamp varies, and is not in `now`.
         now = self.now()
         stamp = self._clock()
-        stall = self._awake(now, stamp)
+        stall = self._awake(now)
         if stall:       # what waited is old, and would get a new stamp
             with session.lock:
                 self.writer.begin_anew(stall, keeps_port=session.FENCED and self.port.is_network)
@@ -263,9 +263,9 @@ class Link:
         frame_due = receiver.due()
         return self._look_at if frame_due is None else min(self._look_at, frame_due)
 
-    def _awake(self, now: float, stamp: Any) -> str:
+    def _awake(self, now: float) -> str:
         """This thread runs; as `Freshness.awake`."""
-        stall = self.writer.fresh.awake('link', now, stamp)
+        stall = self.writer.fresh.awake('link', now, self._clock)
         if stall:
             self._publishes_at = now + FRESH
         return stall

@@ -60,6 +60,8 @@ class Session:
     board_settings: Optional[BoardSettings] = None      # None: the board has none
     line: Line              # what was written; set by the link
     BEATS = False           # True: `beat` is called by a thread of its own
+    # Sent after a packet that may have been cut off: it ends the part that the board has received.
+    ENDS_FRAME = b''
 
     def __init__(self, decoder: Decoder, log: SparingLog, network_silence: float = 0.0) -> None:
         self.decoder = decoder

@@ -72,17 +72,19 @@ class Writer:
 
     def transmit(self, packets: Sequence[Packet], now: float) -> None:
         """Write packets that were decided at `now`; Refused if one of them is not written."""
+        session = self._session
         for index, packet in enumerate(packets):
             try:
                 why = stall(self._now() - now)
-                if why and not self._session.may_be_old(packet.message):
+                if why and not session.may_be_old(packet.message):
                     raise Doubt(why)
-                self._port.write(packet.frame)
+                frame = session.ENDS_FRAME + packet.frame if session.line.is_cut else packet.frame
+                self._port.write(frame)
             except (Doubt, PortBusy, PortError) as error:
                 self._failed(packets[index:], error)
-            self._session.line.wrote(len(packet.frame), now)
+            session.line.wrote(len(frame), now)
             self._traffic.frames_sent += 1
-            self._session.sent(packet, now)
+            session.sent(packet, now)
             if self._traffic.tap:
                 self._traffic.tapped(TX, Frame(*packet, self._clock()))
 
@@ -118,7 +120,8 @@ class Writer:
     def check_output(self, now: float, longest: float = 0.0) -> None:
         """Begin anew if bytes wait in a port that sends nothing."""
         line = self._session.line
-        if not line.is_stuck(self._port.unsent(), now, longest):
+        if now < line.look_at and not longest \
+                or not line.is_stuck(self._port.unsent(), now, longest):
             return
         line.stands = True
         if self._session.reads(now):
@@ -151,7 +154,7 @@ class Writer:
             return _NEVER
         with self._session.lock:
             now = self._now()       # read with the lock held: the bridge may stall while it waits
-            why = self.fresh.awake('beat', now, self._clock())
+            why = self.fresh.awake('beat', now, self._clock)
             try:
                 if why:
                     self.begin_anew(why, keeps_input=True)

@@ -86,7 +86,7 @@ MUTANTS: Dict[str, Mutant] = {
         '~stop holds', 'boards.arduino.session.CarSession', '_moves', _returns(False)),
     'stale bytes are published': Mutant(
         'no stale value', 'link.link.Link', '_awake', lambda _method:
-            lambda self, now, stamp: self.writer.fresh.awake('link', now, stamp) and ''),
+            lambda self, now: self.writer.fresh.awake('link', now) and ''),
     'an announcement is kept over an opening': Mutant(
         'announced rows wait', 'link.announcement.BoardAnnouncement', 'reset', _nothing),
     'values of an old announcement': Mutant(

@@ -24,7 +24,7 @@ _LONGEST_SLEEP = 0.02    # s; a low heartbeat rate must not make a zero late
 _BOARD_LINES = 100, 10.0     # log lines of the board that are taken: in a burst, then per second
 _CALIBRATES = 'the board calibrates its IMU, which takes minutes'
 _RESET = 'the board was reset: the calibration is over'
-_HEARTBEAT = wire.Heartbeat()
+_HEARTBEAT = Packet(wire.encode(wire.Heartbeat()), wire.Heartbeat.TYPE, 0, b'', wire.Heartbeat())
 _STILL = wire.SteeringCommand, wire.LedCommand, SettingMessage    # what ~stop does not refuse
 _OVERHEAD = 4            # bytes of a packet besides its data, at most
 
@@ -54,6 +54,7 @@ class CarSession(Session):
     STOPS_FIRST = True
     board_settings: BoardSettings
     BEATS = True
+    ENDS_FRAME = DESCRIPTION.between
 
     def __init__(self, log: SparingLog, options: CarOptions = CarOptions(),
                  on_message: Callable[[Any, Any], None] = lambda message, stamp: None,
@@ -126,21 +127,19 @@ class CarSession(Session):
         return self._is_zero(request) or isinstance(request, SettingMessage)
 
     def beat(self, now: float) -> Tuple[List[Packet], float]:
-        messages: List[Any] = []
         # The board reads nothing while it calibrates. But if IMU data is still received, the line
         # may have lost the request to calibrate and the zeros before it.
         calibration = self.calibration      # the link's thread may set it to None
         reads = calibration is None or calibration.data_goes_on(now)
-        for motion in self._known():
-            if not motion.due(now, reads):
-                continue
-            messages.append(motion.zero)
+        ended = [motion for motion in self._known() if motion.due(now, reads)]
+        for motion in ended:
             if motion.moves and not motion.is_unknown:
                 self.log.warn(f'timeout {motion.zero.LABEL}', f'no {motion.zero.LABEL} command for '
                               f'{self._options.speed_timeout:g} s: sent its zero')
+        packets = self._packets([motion.zero for motion in ended], now) if ended else []
         if self.heartbeats.pace.passed(now):
-            messages.append(_HEARTBEAT)
-        return self._packets(messages, now), min(self.heartbeats.pace.due, now + _LONGEST_SLEEP)
+            packets.append(_HEARTBEAT)
+        return packets, min(self.heartbeats.pace.due, now + _LONGEST_SLEEP)
 
     def due(self, now: float, is_drained: bool) -> Tuple[List[Packet], Optional[float]]:
         self.idle(now)
@@ -165,21 +164,17 @@ class CarSession(Session):
         for message in first + messages:
             data = message.pack()
             # A heartbeat goes before what would delay the next one too much.
-            if not (message is _HEARTBEAT or self._is_zero(message)) \
+            if not self._is_zero(message) \
                     and self.heartbeats.is_late(self.line.sent_at(len(data) + _OVERHEAD, now)) \
                     and not self.heartbeats.is_overdue(now):
-                packets.append(self._packet(_HEARTBEAT, b'', not packets))
-            packets.append(self._packet(message, data, not packets))
+                packets.append(_HEARTBEAT)
+            packets.append(Packet(wire.encode_raw(message.TYPE, data), message.TYPE, 0, data,
+                                  message))
         return packets
-
-    def _packet(self, message: Any, data: bytes, is_first: bool) -> Packet:
-        # After a packet that was cut off, a 0x00 ends the part that the board has received.
-        begin = b'\0' if self.line.is_cut and is_first else b''
-        return Packet(begin + wire.encode_raw(message.TYPE, data), message.TYPE, 0, data, message)
 
     def sent(self, packet: Packet, now: float) -> None:
         message = packet.message
-        if message is _HEARTBEAT:
+        if packet is _HEARTBEAT:
             self.heartbeats.count(now, self.line.free_at)
         elif packet.type in self._motions:
             self._motions[packet.type].sent(message, now)
