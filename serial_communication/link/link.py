@@ -12,7 +12,7 @@ from .freshness import FRESH
 from .lending import Lending
 from .line import Line
 from .outcome import Refused
-from .receiver import Receiver, Traffic
+from .receiver import Receiver
 from .reopening import Reopening
 from .session import ERROR, OK, WARN, Doubt, Session
 from .sparing_log import SparingLog
@@ -55,18 +55,17 @@ class Link:
                  board_time: bool = True, now: Callable[[], float] = pace.clock) -> None:
         self.port, self.session, self.now = port, session, now
         session.line = Line(10.0 / port.baud, port.is_network)
-        self.traffic = Traffic(session.NAME, session.log)
         self.reopening = Reopening(port.url, session.log)
-        self.writer = Writer(port, session, self.traffic, self.reopening, clock, now)
+        self.writer = Writer(port, session, self.reopening, clock, now)
         self.lending = Lending(port, session, self.writer, now)
-        self.receiver = Receiver(session, self.traffic,
-                                 FrameTimer(session.decoder, frame_timeout, port.baud),
+        self.receiver = Receiver(session, FrameTimer(session.decoder, frame_timeout, port.baud),
                                  Stamps(port, earlier, session.log, board_time))
         self._clock = clock
         self._due = 0.0                 # the next round, at the latest
         self._look_at = 0.0             # when to ask the session what is due
         self._settings_at = 0.0         # when to look at the settings of a tty
         self._publishes_at = 0.0        # what is received before is old
+        self._reported_errors = 0       # those until the latest report
         self._threads: Dict[str, threading.Thread] = {}
         session.wake = self.wake
 
@@ -123,7 +122,7 @@ class Link:
 
     def report(self, now: float) -> Report:
         """To be called once a second: the errors since the last call are those of that second."""
-        session, traffic, port = self.session, self.traffic, self.port
+        session, port = self.session, self.port
         if self.lending.runs:
             level, name, summary = WARN, 'lent', f'lent to {self.lending.by}'
         elif not port.is_open:
@@ -131,7 +130,7 @@ class Link:
         else:
             level, name, summary = session.condition(now)
         errors = sum(session.errors.values()) + session.timeouts
-        new, traffic.reported_errors = errors - traffic.reported_errors, errors
+        new, self._reported_errors = errors - self._reported_errors, errors
         if level == OK and new:
             level, summary = WARN, f'{new} error{"s" if new > 1 else ""} in the last second'
         if session.is_stopped:
@@ -142,11 +141,11 @@ class Link:
             ('port', port.url),
             ('state', summary),
             ('condition', name),
-            ('frames received', traffic.frames_received),
-            ('frames sent', traffic.frames_sent),
+            ('frames received', session.frames_received),
+            ('frames sent', session.frames_sent),
             ('bytes received', port.bytes_received),
             ('bytes sent', port.bytes_sent),
-            ('stale', traffic.stale),
+            ('stale', session.stale),
             ('checksum errors', counted.pop(CHECKSUM, 0)),
             ('framing errors', counted.pop(FRAMING, 0)),
             ('reconnects', max(self.reopening.count - 1, 0)),
@@ -193,8 +192,7 @@ class Link:
                 return self.now()
             except Exception as error:  # pylint: disable=broad-except
                 self.port.close()
-                self.reopening.failed(str(error) if isinstance(error, PortError)
-                                      else f'fault while opening it: {error!r}', self.now())
+                self.reopening.failed(str(error) or repr(error), self.now())
         opens_at = self.lending.until if self.lending.runs else self.reopening.at
         return min(opens_at, now + _LONGEST_SLEEP, _NEVER if due is None else due)
 

@@ -1,47 +1,19 @@
 """From bytes that were read to frames in the session, and what is counted of them."""
 import traceback
-from typing import Any, Callable, Optional
+from typing import Any, Optional
 
 from ..framing.stream import UNKNOWN, Frame, FrameTimer, stamped
-from .session import Session
-from .sparing_log import SparingLog
+from .session import RX, Session
 from .stamps import Read, Stamps
 
-RX, TX = 0, 1                  # as in SerialMsg
 _ANNOUNCING = 5.0              # s after the opening in which a board announces what it sends
-
-Tap = Callable[[str, int, Frame], None]      # gets the link's name, RX or TX, and the frame
-
-
-class Traffic:
-    """The traffic of one link."""
-
-    def __init__(self, name: str, log: SparingLog) -> None:
-        self.tap: Optional[Tap] = None     # called with every frame in and out; None: no listener
-        self.frames_received = 0           # valid ones
-        self.frames_sent = 0
-        self.stale = 0                     # bytes dropped because they may be old
-        self.reported_errors = 0           # those until the latest report
-        self._name, self._log = name, log
-
-    def tapped(self, direction: int, frame: Frame) -> None:
-        """Pass a frame to the listener."""
-        tap = self.tap      # another thread may set it to None meanwhile
-        try:
-            if tap:
-                tap(self._name, direction, frame)
-        except Exception:  # pylint: disable=broad-except
-            # Guarded: an error here would look as if the frame had not been sent.
-            self._log.error('fault', traceback.format_exc())
 
 
 class Receiver:
     """Decodes, counts, logs, stamps and passes on what one link receives; in its thread."""
 
-    def __init__(self, session: Session, traffic: Traffic, timer: FrameTimer,
-                 stamps: Stamps) -> None:
-        self._session, self._traffic, self._timer = session, traffic, timer
-        self.stamps = stamps
+    def __init__(self, session: Session, timer: FrameTimer, stamps: Stamps) -> None:
+        self._session, self._timer, self.stamps = session, timer, stamps
 
     def reset(self) -> None:
         """What was received before is dropped, with an incomplete frame."""
@@ -65,7 +37,7 @@ class Receiver:
         if decoder.pending:
             frames += self._timer.overdue(presence.byte_at, now)
         if is_old:
-            self._traffic.stale += len(data)
+            self._session.stale += len(data)
         else:
             for frame in frames:
                 try:
@@ -80,8 +52,8 @@ class Receiver:
 
     def _deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
-        session, traffic, read = self._session, self._traffic, frame.stamp
-        shown = session.shown(stamped(frame, read.stamp)) if traffic.tap else frame
+        session, read = self._session, frame.stamp
+        shown = session.shown(stamped(frame, read.stamp)) if session.tap else frame
         frame = stamped(frame, self.stamps.of(frame, read))
         cause = UNKNOWN if frame.message is None and not frame.cause else frame.cause
         # The board may still announce a type that is unknown now.
@@ -93,9 +65,9 @@ class Receiver:
         if frame.cause:
             session.damaged(frame, now)
         else:
-            traffic.frames_received += 1
+            session.frames_received += 1
             # Another board's bytes may be a frame of an unknown type.
             session.presence.heard(now, frame.message is not None)
             session.received(frame, now)
-        if traffic.tap:
-            traffic.tapped(RX, shown)
+        if session.tap:
+            session.tapped(RX, shown)

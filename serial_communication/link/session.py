@@ -5,6 +5,7 @@ the link writes at once. `now` is in seconds of a clock that also runs while the
 suspended.
 """
 import threading
+import traceback
 from collections import Counter
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
@@ -17,6 +18,7 @@ from .settings import BoardSettings
 from .sparing_log import SparingLog
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
+RX, TX = 0, 1                  # as in SerialMsg
 
 
 class Packet(NamedTuple):
@@ -69,6 +71,11 @@ class Session:
         # By cause, those of the decoder also while there are none.
         self.errors: Dict[str, int] = Counter(dict.fromkeys(decoder.errors, 0))
         self.timeouts = 0           # requests without an answer
+        self.frames_received = 0    # valid ones
+        self.frames_sent = 0
+        self.stale = 0              # bytes dropped because they may be old
+        # Called with the link's name, RX or TX, and every frame; None: nobody listens.
+        self.tap: Optional[Callable[[str, int, Frame], None]] = None
         self.lock = threading.RLock()
         self.is_stopped = False     # by ~stop: whatever moves is refused
         self.presence = Presence(log)
@@ -140,6 +147,16 @@ class Session:
 
     def was_reset(self) -> None:
         """The bridge has reset the board."""
+
+    def tapped(self, direction: int, frame: Frame) -> None:
+        """Pass a frame to who listens."""
+        tap = self.tap      # another thread may set it to None meanwhile
+        try:
+            if tap:
+                tap(self.NAME, direction, frame)
+        except Exception:  # pylint: disable=broad-except
+            # Guarded: an error here would look as if the frame had not been sent.
+            self.log.error('fault', traceback.format_exc())
 
     # -- what it looks like -----------------------------------------------------------------
 

@@ -6,9 +6,8 @@ from ..framing.stream import Frame
 from ..transport.port import Port, PortBusy, PortError
 from .freshness import Freshness, stall
 from .outcome import Refused
-from .receiver import TX, Traffic
 from .reopening import Reopening
-from .session import Doubt, Packet, Session
+from .session import TX, Doubt, Packet, Session
 
 STALLED = 'it may have waited while the bridge stalled; send it again'
 _AT_END = 0.05                 # s that bytes may wait in the port before what stops goes out
@@ -20,14 +19,13 @@ class Writer:
     The arguments are those of the link.
     """
 
-    def __init__(self, port: Port, session: Session, traffic: Traffic, reopening: Reopening,
+    def __init__(self, port: Port, session: Session, reopening: Reopening,
                  clock: Callable[[], Any], now: Callable[[], float]) -> None:
         self.fresh = Freshness()
         self.has_ended = False      # nothing may follow what was written last
         self.is_silent = False      # a port that hides what it has not sent is silent
         self.drops_input = False    # the decoder has to begin anew
-        self._port, self._session, self._traffic = port, session, traffic
-        self._reopening = reopening
+        self._port, self._session, self._reopening = port, session, reopening
         self._clock, self._now = clock, now
         self._beat_at = 0.0
 
@@ -83,10 +81,10 @@ class Writer:
             except (Doubt, PortBusy, PortError) as error:
                 self._failed(packets[index:], error)
             session.line.wrote(len(frame), now)
-            self._traffic.frames_sent += 1
+            session.frames_sent += 1
             session.sent(packet, now)
-            if self._traffic.tap:
-                self._traffic.tapped(TX, Frame(*packet, self._clock()))
+            if session.tap:
+                session.tapped(TX, Frame(*packet, self._clock()))
 
     def _failed(self, packets: Sequence[Packet], error: Exception) -> None:
         """The first of these packets was not written."""
@@ -139,7 +137,7 @@ class Writer:
             if self._port.is_network:
                 self._port.give_up(why)
             keeps_input |= self._session.FENCED
-            self._traffic.stale += self._port.renew(keeps_input)
+            self._session.stale += self._port.renew(keeps_input)
             self._session.line.dropped(now)
             self.drops_input |= not keeps_input
         self._session.begin(now, is_opening=False)

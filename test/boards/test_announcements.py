@@ -61,7 +61,7 @@ def test_announced_rows_are_used_only_after_this_board_has_announced_them(car):
     assert car.got == [Force(7), arduino.Ticks(1)]
     car.unplug().plug().give(force * 3 + TICKS)
     assert car.got[2:] == [arduino.Ticks(1)]
-    with pytest.raises(Refused, match='has not announced it'):
+    with pytest.raises(Refused, match='has not announced this'):
         link.command(Force(2))
     car.give(packets(TEXT)[2] + force)
     assert car.got[3:] == [Force(7)]

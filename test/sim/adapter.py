@@ -110,7 +110,7 @@ class Robot:
         self.loops = [Loop(world, step) for step in self.link.loops().values()]
         port.wake = device.on_input = self.loops[0].wake    # type: ignore[method-assign]
         if is_tapped:
-            self.link.traffic.tap = lambda _name, direction, frame: self.tapped.append(
+            self.link.session.tap = lambda _name, direction, frame: self.tapped.append(
                 (direction, frame.raw, frame.cause))
         self.link.lending.reset_line = 'dtr'
         self.link.session.announcement.on_text = lambda text: world.after(

@@ -4,8 +4,8 @@ import re
 from typing import Dict, Iterator, List, Tuple
 
 from evidence import Evidence, Interval, longer, merged, overlaps
-from promises import (CALIBRATION, DRIVE, ECHO, FRESH, FUNCTION, HALT, HEARTBEAT, SLACK, SYNC,
-                      Verdicts, is_zero, told)
+from promises import (CALIBRATION, DRIVE, ECHO, FRESH, FUNCTION, HALT, HEARTBEAT, SLACK, STALL,
+                      SYNC, Verdicts, is_zero, told)
 from promises_car import asks_for_zero, repeated, times_out
 
 _LINES = 10.0       # s in which a line is not said again
@@ -296,8 +296,9 @@ def a_silent_pty_is_doubted(e: Evidence) -> Verdicts:
             time < due + 0.3 for time, _ in e.story.robot.calibrating)
         # Another doubt begins the link anew, too.
         excused |= any(last <= each <= due + 0.3 for each in device.restorations)
+        stalls = longer(merged(e.stalls[0]), STALL)
         flushes = [each for each in device.flushes if due - SLACK <= each < end - SLACK
-                   and each not in device.restorations]
+                   and each not in device.restorations and not overlaps(stalls, each, each, SLACK)]
         if following > due:
             yield not excused, '' if excused or len(flushes) == 1 and flushes[0] <= due + 0.3 else \
                 f'silent from {last:.3f} to {end:.3f}, flushed at {flushes}'

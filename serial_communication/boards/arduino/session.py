@@ -9,11 +9,10 @@ from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
 from ...framing.rows import SettingMessage
 from ...framing.stream import Frame
-from ...link.outcome import STOPPED
+from ...link.outcome import NOT_ANNOUNCED, STOPPED
 from ...link.session import OK, WARN, Condition, Packet, Refused, Session
 from ...link.settings import BoardSettings
 from ...link.sparing_log import SparingLog
-from ...transport.pace import Allowance
 from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import BACK, Calibration
 from .heartbeats import Heartbeats
@@ -21,7 +20,6 @@ from .motion import Motion
 
 _LONGEST_BURST = 0.05    # s of wire time that may wait; then more commands are refused
 _LONGEST_SLEEP = 0.02    # s; a low heartbeat rate must not make a zero late
-_BOARD_LINES = 100, 10.0     # log lines of the board that are taken: in a burst, then per second
 _CALIBRATES = 'the board calibrates its IMU, which takes minutes'
 _RESET = 'the board was reset: the calibration is over'
 _HEARTBEAT = Packet(wire.encode(wire.Heartbeat()), wire.Heartbeat.TYPE, 0, b'', wire.Heartbeat())
@@ -45,8 +43,7 @@ class CarSession(Session):
     Args:
         on_message: called in the link's thread with the (message, stamp) of each message except
             log messages, announcements and TIME.
-        on_log: called in the link's thread with the (severity 0 … 3, text) of each log message; if
-            the board sends too many, some are dropped.
+        on_log: called in the link's thread with the (severity 0 … 3, text) of each log message.
         on_calibrating: called with True when a calibration begins, with False when it ends.
     """
 
@@ -69,7 +66,6 @@ class CarSession(Session):
         self._on_message, self._on_log, self._on_calibrating = on_message, on_log, on_calibrating
         self._motions: Dict[int, Motion] = {}      # by type
         self.add_motion(wire.SpeedCommand(0))
-        self._board_lines = Allowance(*_BOARD_LINES)
 
     # -- motions --------------------------------------------------------------------------
 
@@ -111,8 +107,8 @@ class CarSession(Session):
         if reason:
             raise Refused(reason, 'value')
         calibrates = isinstance(request, wire.ImuCalibration)
-        if request.ANNOUNCED:
-            self.announcement.refuse_unless_current(f'{request}')
+        if request.ANNOUNCED and not self.announcement.is_current:
+            raise Refused(NOT_ANNOUNCED, 'not announced')
         if self.calibration:
             raise Refused(_CALIBRATES, 'calibrating')
         if self.is_stopped and self._moves(request):
@@ -209,11 +205,7 @@ class CarSession(Session):
     def received(self, frame: Frame, now: float) -> None:
         message = frame.message
         if isinstance(message, wire.Log):
-            if self._board_lines.take(now):
-                self._on_log(message.TYPE, message.text)
-            else:
-                self.log.warn('chatter', 'the board logs too much (over {} lines at once or {:g} a '
-                              'second): some lines are left out'.format(*_BOARD_LINES))
+            self._on_log(message.TYPE, message.text)
         elif isinstance(message, Chunk):
             self.announcement.add(message)
         elif isinstance(message, SettingMessage):

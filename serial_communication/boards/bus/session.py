@@ -9,7 +9,7 @@ from typing import Any, Callable, Deque, List, Optional, Tuple
 
 from ...framing.stream import CHECKSUM, IMPLAUSIBLE, LENGTH, Frame
 from ...link.freshness import stall
-from ...link.outcome import STOPPED, Outcome
+from ...link.outcome import NOT_ANNOUNCED, STOPPED, Outcome
 from ...link.session import Condition, Doubt, Packet, Session
 from ...link.sparing_log import SparingLog
 from . import wire
@@ -18,7 +18,6 @@ from .channel import NO_SYNC, READY, TRIES, Channel, Event, Exchange, Kind, Stat
 from .polls import AnnouncementReader, Polls
 
 _STALLED = 'it may have waited while the bridge stalled'
-_NOT_ANNOUNCED = 'the board may have begun anew, and has not announced this function since'
 _PATIENCE = 0.8     # s that a call waits for a board that does not answer
 
 
@@ -201,7 +200,7 @@ class MasterSession(Session):
         elif self.is_stopped and not function.repeatable:
             why = STOPPED
         elif function.announced and not self.announcement.is_current:
-            why = _NOT_ANNOUNCED        # rule 12
+            why = NOT_ANNOUNCED        # rule 12
         return call.without_reply(why) if why else None
 
     def _ended(self, event: Event, now: float, why: str) -> Optional[Call]:
