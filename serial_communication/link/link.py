@@ -288,7 +288,7 @@ class Link:
     def _check_port(self, now: float) -> None:
         """Begin anew where the port may hold something back, or change it."""
         session, presence = self.session, self.session.presence
-        limit = session.network_silence if session.reads(now) else 0.0
+        limit = session.network_silence if session.reads else 0.0
         if self.port.hides and presence.frame_at is not None and not self.writer.is_silent \
                 and 0 < limit <= now - presence.byte_at:
             self.writer.is_silent = True

@@ -60,6 +60,7 @@ class Session:
     # True: it tells old replies from new ones by itself. What waited during a stall is decoded.
     FENCED = False
     board_settings: Optional[BoardSettings] = None      # None: the board has none
+    reads = True            # the board reads now what is sent to it
     line: Line              # what was written; set by the link
     BEATS = False           # True: `beat` is called by a thread of its own
     # Sent after a packet that may have been cut off: it ends the part that the board has received.
@@ -159,10 +160,6 @@ class Session:
             self.log.error('fault', traceback.format_exc())
 
     # -- what it looks like -----------------------------------------------------------------
-
-    def reads(self, now: float) -> bool:
-        """Whether the board reads now what is sent to it."""
-        return True
 
     def condition(self, now: float) -> Condition:
         """The board's state while the port is open."""

@@ -122,7 +122,7 @@ class Writer:
                 or not line.is_stuck(self._port.unsent(), now, longest):
             return
         line.stands = True
-        if self._session.reads(now):
+        if self._session.reads:
             self.begin_anew('the port takes no data')
         else:
             self._port.renew(keeps_input=True)

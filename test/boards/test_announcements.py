@@ -6,7 +6,7 @@ from serial_communication.boards.arduino import wire as arduino
 from links import ArduinoLink
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import polls
-from serial_communication.boards.bus.call import MasterOptions
+from serial_communication.boards.bus.call import Call
 from serial_communication.boards.mcu import wire as mcu
 from links import McuLink
 from serial_communication.framing.announcement import Assembly
@@ -90,11 +90,12 @@ class Questions:
 
     def __init__(self, log=None):
         self.asked = []
-        self.question = polls.AnnouncementReader(MasterOptions(), self._ask, Assembly(), log)
+        self.question = polls.AnnouncementReader(self._ask, Assembly(), log)
         self.question.begin(0.0)
 
-    def _ask(self, call, now):
-        self.asked.append(call)
+    def _ask(self, request, function, now, on_success):
+        self.asked.append(Call(request, function, 0.5, 1, 0.0))
+        return self.asked[-1]
 
 
 @pytest.mark.parametrize('outcome', [

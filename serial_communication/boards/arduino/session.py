@@ -175,7 +175,7 @@ class CarSession(Session):
         elif packet.type in self._motions:
             self._motions[packet.type].sent(message, now)
         elif isinstance(message, wire.ImuCalibration):
-            self.calibration = Calibration(now)
+            self.calibration, self.reads = Calibration(now), False
             self._on_calibrating(True)
 
     def not_sent(self, packet: Packet, why: str) -> None:
@@ -230,7 +230,7 @@ class CarSession(Session):
     def _end_calibration(self, why: str) -> None:
         """End the calibration, if there is one; '': it is not over."""
         if why and self.calibration:
-            self.calibration = None
+            self.calibration, self.reads = None, True
             if why in (BACK, _RESET):
                 self.log.info('calibrated', why)
             else:
@@ -238,9 +238,6 @@ class CarSession(Session):
             self._on_calibrating(False)
 
     # -- what it looks like -------------------------------------------------------------------
-
-    def reads(self, now: float) -> bool:
-        return self.calibration is None
 
     def under_way(self, is_reset: bool = False) -> str:
         return _CALIBRATES if self.calibration and not is_reset else ''

@@ -1,7 +1,7 @@
 """Calls of the bus: a request and its outcome, and the queue in which calls wait for their turn."""
 import threading
 from dataclasses import dataclass, field
-from typing import Any, Callable, List, NamedTuple, Optional
+from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ...link.outcome import LOOK, NOT_SENT, TIMEOUT, Outcome
 from . import wire
@@ -31,6 +31,15 @@ class Call:
     def without_reply(self, why: str) -> Outcome:
         """The outcome if it is not sent, or not sent again; rule 7."""
         return self.told or Outcome(NOT_SENT, f'{why}; nothing was sent')
+
+    def data_error(self, reply: wire.Reply, echoes: bool) -> Tuple[str, str]:
+        """Why the data of an OK are invalid, '' if they are not: the cause that is counted, and in
+        words; rule 5."""
+        if not echoes and reply.data and self.function.reply.is_empty:
+            return '', 'it has data, so it is the reply to another request'
+        cause, error = self.function.data_error(reply)
+        return cause, error and (f'the OK to "{self.request}" is invalid: {error}; check that the '
+                                 'board\'s firmware has the same layout')
 
     def finish(self, outcome: Outcome) -> None:
         """Set the outcome; only the first one counts."""

@@ -2,18 +2,19 @@
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Callable, List, Optional
+from typing import Callable, List, Optional
 
 from ...framing.announcement import Assembly, Chunk
 from ...link.outcome import NOT_SENT, TIMEOUT
 from ...link.sparing_log import SparingLog
 from ...transport.pace import Every
 from . import wire
-from .call import Call, MasterOptions, OnSuccess
+from .call import Call, OnSuccess
 
 # s before the first question for the announcement, and after each one without an answer
 _PAUSES = 0.0, 0.5, 1.0, 2.0, 4.0, 8.0
-Submit = Callable[[Call, float], Any]       # the call, the time
+# Submits a request: the time, and what is called with the outcome of a success.
+Submit = Callable[[wire.Request, wire.Function, float, Optional[OnSuccess]], Call]
 
 
 @dataclass(eq=False)
@@ -30,8 +31,8 @@ class Poll:
 class Polls:
     """All polls of a link. A poll is not submitted while the one before it is outstanding."""
 
-    def __init__(self, options: MasterOptions, submit: Submit) -> None:
-        self._options, self._submit = options, submit
+    def __init__(self, submit: Submit) -> None:
+        self._submit = submit
         self._polls: List[Poll] = []
 
     def add(self, function: wire.Function, period: float,
@@ -56,9 +57,8 @@ class Polls:
                 continue
             if poll.pace.passed(now) and (poll.latest is None or poll.latest.outcome):
                 zeros = (0,) * len(function.layout.values)
-                poll.latest = self._options.call(function.make_request(zeros), function, now,
-                                                 poll.on_success, is_poll=True)
-                self._submit(poll.latest, now)
+                poll.latest = self._submit(function.make_request(zeros), function, now,
+                                           poll.on_success)
             due = min(due, poll.pace.due)
         return due
 
@@ -68,10 +68,8 @@ class AnnouncementReader:
     is complete; one for each opening of the port. Any other reply means that there is no text. No
     answer means nothing: then it asks for all of it again, after a pause."""
 
-    def __init__(self, options: MasterOptions, submit: Submit, assembly: Assembly,
-                 log: SparingLog) -> None:
-        self._options, self._submit = options, submit
-        self._assembly, self._log = assembly, log
+    def __init__(self, submit: Submit, assembly: Assembly, log: SparingLog) -> None:
+        self._submit, self._assembly, self._log = submit, assembly, log
         self._call: Optional[Call] = None       # the question that is asked
         self._index = 0             # of the chunk
         self._failures = 0          # since a text was complete
@@ -94,10 +92,9 @@ class AnnouncementReader:
         """Ask for the next chunk if it is time; return the text that the board announces if it is
         now known and not the latest, else None."""
         if self._call is None and now >= self._ask_at:
-            self._call, self._ask_at = self._options.call(
-                wire.ANNOUNCEMENT.make_request((self._index,)), wire.ANNOUNCEMENT, now,
-                is_poll=True), math.inf
-            self._submit(self._call, now)
+            self._call, self._ask_at = self._submit(
+                wire.ANNOUNCEMENT.make_request((self._index,)), wire.ANNOUNCEMENT, now, None
+            ), math.inf
         outcome = self._call.outcome if self._call else None
         if outcome is None:
             return None

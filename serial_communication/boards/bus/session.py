@@ -13,7 +13,7 @@ from ...link.outcome import NOT_ANNOUNCED, STOPPED, Outcome
 from ...link.session import Condition, Doubt, Packet, Session
 from ...link.sparing_log import SparingLog
 from . import wire
-from .call import Call, MasterOptions, Queue, outcome_of, unknown
+from .call import Call, MasterOptions, OnSuccess, Queue, outcome_of, unknown
 from .channel import NO_SYNC, READY, TRIES, Channel, Event, Exchange, Kind, State
 from .polls import AnnouncementReader, Polls
 
@@ -38,7 +38,7 @@ class MasterSession(Session):
         self.options = options
         self.channel = Channel(options.echo, options.reply_timeout, nonce, log)
         self.queue = Queue(max(options.motion_timeout, TRIES * options.reply_timeout))
-        self.polls = Polls(options, self.submit)
+        self.polls = Polls(self._ask)
         # Requests of functions that interrupt, which ~stop calls.
         self.stops: List[Tuple[wire.Request, wire.Function]] = []
         self._reader: Optional[AnnouncementReader] = None
@@ -54,8 +54,7 @@ class MasterSession(Session):
         if is_opening:
             self.polls.start(now)
             if self.options.announcements:
-                self._reader = AnnouncementReader(self.options, self.submit,
-                                                  self.announcement.assembly, self.log)
+                self._reader = AnnouncementReader(self._ask, self.announcement.assembly, self.log)
             self.channel.begin()
             self._looked_at = now
             return
@@ -87,11 +86,14 @@ class MasterSession(Session):
         with self.lock:
             reply, channel = frame.message, self.channel
             exchange, call, in_step = channel.exchange, channel.call, channel.in_step
-            event, error = channel.event_of(reply), ''
+            event, cause, error = channel.event_of(reply), '', ''
             if reply.cmd1 == wire.OK:
                 self.queue.doubt_refusals()
                 if call and event is Event.ANSWER:
-                    error = self._data_error(call, reply)
+                    cause, error = call.data_error(reply, self.options.echo)
+            if cause:
+                self.errors[cause] += 1
+                self.log.warn('unexpected', error)
             if error:       # without ECHO the right reply may follow
                 event = Event.FAILED if self.options.echo else Event.OTHER
             if event is Event.LOST and channel.unanswered[Kind.ECHO] >= TRIES:
@@ -126,7 +128,7 @@ class MasterSession(Session):
         return call is None or call.function.repeatable
 
     def submit(self, request: Call, now: float) -> List[Packet]:
-        """Queue a call; a stop is to be sent at once, a poll in `due`."""
+        """Queue a call; a stop is to be sent at once."""
         outcome = self._outcome_of_waiting(request, now)
         if outcome:
             request.finish(outcome)        # what is not sent interrupts nothing
@@ -140,6 +142,13 @@ class MasterSession(Session):
         if not request.is_poll:
             self.wake()
         return [] if request.is_poll else self._packets(now, False)
+
+    def _ask(self, request: wire.Request, function: wire.Function, now: float,
+             on_success: Optional[OnSuccess]) -> Call:
+        """Submit a poll, which is sent in `due`."""
+        call = self.options.call(request, function, now, on_success, is_poll=True)
+        self.submit(call, now)
+        return call
 
     def stop(self, now: float, why: str = '') -> Tuple[List[Packet], str]:
         moving, packets = '' if self.stops else self.under_way(), self._packets(now, False)
@@ -224,18 +233,6 @@ class MasterSession(Session):
             if self.channel.unanswered[exchange.kind] >= TRIES:
                 self.queue.end_but_stops(self.channel.condition.summary, now - _PATIENCE)
             self.queue.stop_again()
-
-    def _data_error(self, call: Call, reply: wire.Reply) -> str:
-        """What is wrong with the data of an OK, which is counted; '': nothing; rule 5."""
-        if not self.options.echo and reply.data and call.function.reply.is_empty:
-            return 'it has data, so it is the reply to another request'
-        cause, error = call.function.data_error(reply)
-        if error:
-            error = (f'the OK to "{call.request}" is invalid: {error}; check that the board\'s '
-                     'firmware has the same layout')
-            self.errors[cause] += 1
-            self.log.warn('unexpected', error)
-        return error
 
     def under_way(self, is_reset: bool = False) -> str:
         call = self.channel.call
