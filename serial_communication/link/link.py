@@ -3,6 +3,7 @@ import operator
 import threading
 import time
 import traceback
+from contextlib import suppress
 from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
 from ..framing.stream import CHECKSUM, FRAMING, FrameTimer
@@ -17,7 +18,6 @@ from .reopening import Reopening
 from .session import ERROR, OK, WARN, Doubt, Session
 from .sparing_log import SparingLog
 from .stamps import Stamps
-from .threads import prefer, start
 from .writer import Writer
 
 _LONGEST_SLEEP = 0.1           # s
@@ -25,6 +25,11 @@ _LOOK_AT_SETTINGS = 1.0        # s from one look at the settings of a tty to the
 _LEAVES = 0.1                  # s for what stops to leave the port before it is closed
 _AGAIN = 0.05                  # s until what could not be written is tried again
 _NEVER = float('inf')
+_AFTER_FAULT = 0.1             # s until a thread goes on after an unexpected error
+_PRIORITY = 20                 # of the heartbeat's thread
+_NO_PRIORITY = ('no real-time priority for the heartbeat: it may be late while the computer is '
+                f'busy. To allow it, put the line "@dialout - rtprio {_PRIORITY}" into a file in '
+                '/etc/security/limits.d/, add the user to that group, and log in again')
 
 
 class Report(NamedTuple):
@@ -89,10 +94,26 @@ class Link:
 
     def start(self) -> None:
         """Start all threads of the link; none is started later."""
-        self._threads = {what: start(f'{self.name} {what}', step, self.log)
-                         for what, step in self.loops().items()}
+        for what, step in self.loops().items():
+            thread = threading.Thread(target=self._repeat, args=(step,), name=f'{self.name} {what}',
+                                      daemon=True)
+            thread.start()
+            self._threads[what] = thread
         if self.session.BEATS:
-            self.log.info('priority', prefer(self._threads['heartbeat']))
+            has_it = pace.set_priority(_PRIORITY, self._threads['heartbeat'].native_id or 0)
+            self.log.info('priority', 'the heartbeat has real-time priority' if has_it else
+                          _NO_PRIORITY)
+
+    def _repeat(self, step: Callable[[], float]) -> None:
+        """Call a step until it is never due again. Errors, and a lack of memory, do not end it."""
+        due = 0.0
+        while due < _NEVER:
+            try:
+                due = step()
+            except BaseException:  # pylint: disable=broad-except
+                with suppress(BaseException):       # there may be too little memory to log it
+                    self.log.error('fault', traceback.format_exc())
+                time.sleep(_AFTER_FAULT)
 
     def stop(self) -> None:
         """Stop what moves, and send nothing after it; have the threads end."""
@@ -201,11 +222,9 @@ class Link:
         if lending.by and self.port.is_used():
             raise PortError(f'it was lent to {lending.by}, and another program still has it open')
         self.writer.fresh.rest('link')
-        try:
-            self.port.open()
-        finally:
-            now = self.now()
-            self.writer.fresh.awake('link', now)
+        self.port.open()
+        now = self.now()
+        self.writer.fresh.awake('link', now)
         self.reopening.opened(now)
         self.receiver.reset()
         lending.closed.clear()

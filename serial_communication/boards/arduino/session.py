@@ -15,8 +15,7 @@ from ...link.settings import BoardSettings
 from ...link.sparing_log import SparingLog
 from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import BACK, Calibration
-from .heartbeats import Heartbeats
-from .motion import Motion
+from .motion import Heartbeats, Motion
 
 _LONGEST_BURST = 0.05    # s of wire time that may wait; then more commands are refused
 _LONGEST_SLEEP = 0.02    # s; a low heartbeat rate must not make a zero late
@@ -195,9 +194,6 @@ class CarSession(Session):
 
     def end(self, why: str, now: float) -> None:
         for motion in self._motions.values():
-            if motion.moves:
-                self.log.warn('moved', f'the port closed while the board may have been moving: '
-                              f'{motion.zero} is sent first when it is open again')
             motion.forget()         # any thread may be the first to write when it is open again
         self.heartbeats.begin(None)
         self.board_settings.reset()
@@ -252,10 +248,8 @@ class CarSession(Session):
             return Condition(WARN if found.level else OK, 'calibrating', 'calibrating the IMU')
         if gap <= LONGEST_GAP:
             return found
-        text = (f'heartbeat gap of {gap * 1e3:.1f} ms: after 30 ms the board stops its motor; see '
-                '"Let the bridge come first" in doc/troubleshooting.md')
-        return Condition(WARN, found.name, text if found.level == OK else
-                         f'{found.summary}; {text}')
+        return Condition(WARN, found.name, f'{found.summary}; heartbeat gap of {gap * 1e3:.1f} ms: '
+                         'after 30 ms the board stops its motor')
 
     def values(self) -> List[Tuple[str, Any]]:
         return [('heartbeats sent', self.heartbeats.sent),

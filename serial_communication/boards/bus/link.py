@@ -29,12 +29,9 @@ class BusLink(Link):
         """Have a request sent, and return the call, which gets its outcome; `on_success` is called
         in the link's thread."""
         call = self.session.options.call(request, function, self.now(), on_success)
-        size = len(request.data)
         try:
-            if size > wire.MAX_LENGTH:
-                raise Refused(f'data is {size} bytes long, may be at most {wire.MAX_LENGTH}',
-                              'value')
+            wire.encode_request(request)        # ValueError: its data are too long
             self.writer.submit(call)
-        except Refused as refused:
-            call.finish(call.without_reply(str(refused)))
+        except (Refused, ValueError) as error:
+            call.finish(call.without_reply(str(error)))
         return call
