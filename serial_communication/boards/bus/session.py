@@ -12,12 +12,12 @@ from ...link.freshness import stall
 from ...link.outcome import NOT_ANNOUNCED, STOPPED, Outcome
 from ...link.session import Condition, Doubt, Packet, Session
 from ...link.sparing_log import SparingLog
+from ...link.writer import STALLED
 from . import wire
 from .call import Call, MasterOptions, OnSuccess, Queue, outcome_of, unknown
 from .channel import NO_SYNC, READY, TRIES, Channel, Event, Exchange, Kind, State
 from .polls import AnnouncementReader, Polls
 
-_STALLED = 'it may have waited while the bridge stalled'
 _PATIENCE = 0.8     # s that a call waits for a board that does not answer
 
 
@@ -202,7 +202,7 @@ class MasterSession(Session):
         if call.told and not call.refused and not (function.repeatable and call.tries):
             return call.told
         if call.asked <= self._stalled_at and not function.repeatable:
-            why = _STALLED
+            why = STALLED
         elif call.outcome or now >= call.waits_since + self.queue.longest_wait \
                 and not call.is_urgent:
             why = 'the bus is busy, or its line' if channel.in_step else channel.condition.summary
