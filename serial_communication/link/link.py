@@ -222,9 +222,11 @@ class Link:
         if lending.by and self.port.is_used():
             raise PortError(f'it was lent to {lending.by}, and another program still has it open')
         self.writer.fresh.rest('link')
-        self.port.open()
-        now = self.now()
-        self.writer.fresh.awake('link', now)
+        try:
+            self.port.open()
+        finally:        # a stall may follow at once, whether it is open or not
+            now = self.now()
+            self.writer.fresh.awake('link', now)
         self.reopening.opened(now)
         self.receiver.reset()
         lending.closed.clear()
