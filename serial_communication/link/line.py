@@ -2,7 +2,6 @@
 
 LONGEST_WAIT = 0.3     # s that bytes may wait in a port that sends nothing
 NETWORK_WAIT = 1.0     # s, likewise: a network may pause
-_LOOK_AGAIN = 0.05     # s
 
 
 class Line:
@@ -20,7 +19,6 @@ class Line:
         self.stands = False     # what waited was dropped, and nothing has left since
         self.is_cut = True      # the latest packet may have been sent in part
         self.free_at = 0.0      # when the line will have sent the latest
-        self.look_at = 0.0      # when to ask again what waits, which costs time
         self._longest = NETWORK_WAIT if is_network else LONGEST_WAIT
         self._byte_time = byte_time
         self._written = 0       # bytes
@@ -39,8 +37,7 @@ class Line:
 
     def is_stuck(self, waiting: int, now: float, longest: float = 0.0) -> bool:
         """Whether nothing has left for `longest` s, by default the usual time, beyond what the line
-        needs for it. To be called at `look_at`, with the number of bytes that wait."""
-        self.look_at = now + _LOOK_AGAIN
+        needs for it. To be called often, with the number of bytes that wait."""
         left = self._written - waiting
         if left < self._marked:
             return now - self._marked_at > (longest or self._longest) + max(

@@ -118,8 +118,7 @@ class Writer:
     def check_output(self, now: float, longest: float = 0.0) -> None:
         """Begin anew if bytes wait in a port that sends nothing."""
         line = self._session.line
-        if now < line.look_at and not longest \
-                or not line.is_stuck(self._port.unsent(), now, longest):
+        if not line.is_stuck(self._port.unsent(), now, longest):
             return
         line.stands = True
         if self._session.reads:
