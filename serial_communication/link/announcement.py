@@ -2,7 +2,6 @@
 from typing import Any, Callable, List, Optional
 
 from ..framing.announcement import Assembly, Chunk
-from .outcome import Refused
 from .sparing_log import SparingLog
 
 
@@ -49,9 +48,3 @@ class BoardAnnouncement:
             return False
         self.held_back += 1
         return True
-
-    def refuse_unless_current(self, command: str) -> None:
-        """Raise Refused for an announced command that the board may no longer have."""
-        if not self.is_current:
-            raise Refused(f'{command} refused: the board has not announced it since the port was '
-                          'opened, or since the board may have changed', 'not announced')

@@ -1,10 +1,15 @@
 """Finds stalls: times in which a thread of the bridge did not run. What comes after one may be old.
 """
-from typing import Any, Dict
+from typing import Any, Callable, Dict
 
 STALL = 0.5     # s in which a loop does not run; longer is a stall
 FRESH = 0.5     # s after a stall in which what waited meanwhile may still arrive
 _NEVER = float('-inf')
+
+
+def stall(seconds: float) -> str:
+    """What to say where a loop did not run for so long; '': that was no stall."""
+    return f'the bridge stalled for {seconds:.3g} s' if seconds > STALL else ''
 
 
 class Freshness:
@@ -20,14 +25,13 @@ class Freshness:
         self._ended = _NEVER                    # when the latest stall ended
         self._stamp: Any = None                 # the same as a stamp
 
-    def awake(self, loop: str, now: float, stamp: Any = None) -> float:
-        """A loop runs; return the length in s of the stall that this ends, or 0.0."""
-        seconds = now - self._awake.get(loop, now)
+    def awake(self, loop: str, now: float, stamp: Callable[[], Any] = lambda: None) -> str:
+        """A loop runs; return what to say of the stall that this ends, or ''."""
+        found = stall(now - self._awake.get(loop, now))
         self._awake[loop] = now
-        if seconds <= STALL:
-            return 0.0
-        self._ended, self._stamp = now, stamp
-        return seconds
+        if found:
+            self._ended, self._stamp = now, stamp()
+        return found
 
     def rest(self, loop: str) -> None:
         """A loop waits for something else: that is no stall."""

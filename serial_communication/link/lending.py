@@ -56,11 +56,9 @@ class Lending:
     def reset(self) -> str:
         """Reset the board by its control line."""
         with self._session.lock:
-            if not self.reset_line:
-                raise Refused('no line that resets this board is known (parameter reset_line)',
-                              'value')
-            if self._port.hides:
-                raise Refused(f'the port {self._port.url} has no control lines', 'value')
+            if not self.reset_line or self._port.hides:
+                raise Refused(f'the port {self._port.url} has no line that resets its board '
+                              '(parameter reset_line)', 'value')
             if not self._port.is_open and not self.runs:
                 raise Refused('the port is closed', 'port')
             self._let_go('', '')

@@ -1,22 +1,23 @@
 """The link to one board: a port, the session of its protocol, and the thread that drives them."""
 import operator
+import threading
 import time
 import traceback
-from typing import Any, Callable, List, Optional
+from contextlib import suppress
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Tuple
 
-from ..framing.stream import FrameTimer
+from ..framing.stream import CHECKSUM, FRAMING, FrameTimer
 from ..transport import pace
 from ..transport.port import Port, PortError
 from .freshness import FRESH
 from .lending import Lending
+from .line import Line
 from .outcome import Refused
-from .receiver import Receiver, Traffic
+from .receiver import Receiver
 from .reopening import Reopening
-from .report import Report, report
-from .session import Doubt, Session
+from .session import ERROR, OK, WARN, Doubt, Session
 from .sparing_log import SparingLog
 from .stamps import Stamps
-from .threads import Loop, prefer
 from .writer import Writer
 
 _LONGEST_SLEEP = 0.1           # s
@@ -24,6 +25,19 @@ _LOOK_AT_SETTINGS = 1.0        # s from one look at the settings of a tty to the
 _LEAVES = 0.1                  # s for what stops to leave the port before it is closed
 _AGAIN = 0.05                  # s until what could not be written is tried again
 _NEVER = float('inf')
+_AFTER_FAULT = 0.1             # s until a thread goes on after an unexpected error
+_PRIORITY = 20                 # of the heartbeat's thread
+_NO_PRIORITY = ('no real-time priority for the heartbeat: it may be late while the computer is '
+                f'busy. To allow it, put the line "@dialout - rtprio {_PRIORITY}" into a file in '
+                '/etc/security/limits.d/, add the user to that group, and log in again')
+
+
+class Report(NamedTuple):
+    """What /diagnostics shows of a link."""
+
+    level: int
+    summary: str
+    values: List[Tuple[str, Any]]
 
 
 class Link:
@@ -45,19 +59,19 @@ class Link:
                  earlier: Callable[[Any, float], Any] = operator.sub,
                  board_time: bool = True, now: Callable[[], float] = pace.clock) -> None:
         self.port, self.session, self.now = port, session, now
-        self.traffic = Traffic(session.NAME, session.log, session.decoder.CAUSES)
+        session.line = Line(10.0 / port.baud, port.is_network)
         self.reopening = Reopening(port.url, session.log)
-        self.writer = Writer(port, session, self.traffic, self.reopening, clock, now)
+        self.writer = Writer(port, session, self.reopening, clock, now)
         self.lending = Lending(port, session, self.writer, now)
-        self.receiver = Receiver(session, self.traffic,
-                                 FrameTimer(session.decoder, frame_timeout, port.baud),
+        self.receiver = Receiver(session, FrameTimer(session.decoder, frame_timeout, port.baud),
                                  Stamps(port, earlier, session.log, board_time))
         self._clock = clock
         self._due = 0.0                 # the next round, at the latest
         self._look_at = 0.0             # when to ask the session what is due
         self._settings_at = 0.0         # when to look at the settings of a tty
         self._publishes_at = 0.0        # what is received before is old
-        self._thread = Loop(f'{session.NAME} link', self.step, session.log)
+        self._reported_errors = 0       # those until the latest report
+        self._threads: Dict[str, threading.Thread] = {}
         session.wake = self.wake
 
     @property
@@ -72,18 +86,34 @@ class Link:
 
     # -- for any thread -----------------------------------------------------------------
 
-    def loops(self) -> List[Callable[[], float]]:
-        """What the link's threads call again and again; each returns when it is due next."""
-        return [self.step, self.writer.beat] if self.session.BEATS else [self.step]
+    def loops(self) -> Dict[str, Callable[[], float]]:
+        """What each thread of the link calls again and again. It sleeps until it is due, and
+        returns when it is due next."""
+        beats = {'heartbeat': self.writer.beat} if self.session.BEATS else {}
+        return {'link': self.step, **beats}
 
     def start(self) -> None:
         """Start all threads of the link; none is started later."""
-        self._thread.start()
+        for what, step in self.loops().items():
+            thread = threading.Thread(target=self._repeat, args=(step,), name=f'{self.name} {what}',
+                                      daemon=True)
+            thread.start()
+            self._threads[what] = thread
         if self.session.BEATS:
-            beat = Loop(f'{self.name} heartbeat', self.writer.beat, self.log,
-                        lambda due: time.sleep(max(due - self.now(), 0.0)))
-            beat.start()
-            self.session.log.info('priority', prefer(beat))
+            has_it = pace.set_priority(_PRIORITY, self._threads['heartbeat'].native_id or 0)
+            self.log.info('priority', 'the heartbeat has real-time priority' if has_it else
+                          _NO_PRIORITY)
+
+    def _repeat(self, step: Callable[[], float]) -> None:
+        """Call a step until it is never due again. Errors, and a lack of memory, do not end it."""
+        due = 0.0
+        while due < _NEVER:
+            try:
+                due = step()
+            except BaseException:  # pylint: disable=broad-except
+                with suppress(BaseException):       # there may be too little memory to log it
+                    self.log.error('fault', traceback.format_exc())
+                time.sleep(_AFTER_FAULT)
 
     def stop(self) -> None:
         """Stop what moves, and send nothing after it; have the threads end."""
@@ -95,8 +125,8 @@ class Link:
 
     def join(self, timeout: float = 1.0) -> None:
         """Wait after `stop` for the port to be closed, for at most `timeout` s."""
-        if self._thread.is_alive():
-            self._thread.join(timeout)
+        if self._threads:
+            self._threads['link'].join(timeout)
 
     def wake(self) -> None:
         """Make the thread look soon for what is due, whatever is received."""
@@ -113,7 +143,43 @@ class Link:
 
     def report(self, now: float) -> Report:
         """To be called once a second: the errors since the last call are those of that second."""
-        return report(self, now)
+        session, port = self.session, self.port
+        if self.lending.runs:
+            level, name, summary = WARN, 'lent', f'lent to {self.lending.by}'
+        elif not port.is_open:
+            level, name, summary = ERROR, 'closed', f'closed: {self.reopening.trouble}'
+        else:
+            level, name, summary = session.condition(now)
+        errors = sum(session.errors.values()) + session.timeouts
+        new, self._reported_errors = errors - self._reported_errors, errors
+        if level == OK and new:
+            level, summary = WARN, f'{new} error{"s" if new > 1 else ""} in the last second'
+        if session.is_stopped:
+            level, name, summary = max(level, WARN), 'stopped', f'stopped by ~stop; {summary}'
+        counted = dict(session.errors)
+        frame_at, announcement = session.presence.frame_at, session.announcement
+        values = [
+            ('port', port.url),
+            ('state', summary),
+            ('condition', name),
+            ('frames received', session.frames_received),
+            ('frames sent', session.frames_sent),
+            ('bytes received', port.bytes_received),
+            ('bytes sent', port.bytes_sent),
+            ('stale', session.stale),
+            ('checksum errors', counted.pop(CHECKSUM, 0)),
+            ('framing errors', counted.pop(FRAMING, 0)),
+            ('reconnects', max(self.reopening.count - 1, 0)),
+            ('last frame age [s]', 'never' if frame_at is None else f'{now - frame_at:.3f}'),
+            *sorted((cause + ' errors', count) for cause, count in counted.items()),
+            *session.values(),
+            *self.receiver.stamps.values(),
+        ]
+        if announcement.rows is not None:
+            values += [('firmware', announcement.firmware),
+                       ('announced', ', '.join(announcement.rows)),
+                       ('held back', announcement.held_back)]
+        return Report(level, summary, values)
 
     # -- rounds, in the link's thread -------------------------------------------------------
 
@@ -138,7 +204,7 @@ class Link:
     def _closed_round(self) -> float:
         self.port.pause(self._due - self.now())
         now = self.now()
-        self._awake(now, self._clock())
+        self._awake(now)
         with self.session.lock:
             due = self.session.idle(now)
         if now >= self.reopening.at and not self.lending.runs and not self.writer.has_ended:
@@ -147,8 +213,7 @@ class Link:
                 return self.now()
             except Exception as error:  # pylint: disable=broad-except
                 self.port.close()
-                self.reopening.failed(str(error) if isinstance(error, PortError)
-                                      else f'fault while opening it: {error!r}', self.now())
+                self.reopening.failed(str(error) or repr(error), self.now())
         opens_at = self.lending.until if self.lending.runs else self.reopening.at
         return min(opens_at, now + _LONGEST_SLEEP, _NEVER if due is None else due)
 
@@ -159,7 +224,7 @@ class Link:
         self.writer.fresh.rest('link')
         try:
             self.port.open()
-        finally:
+        finally:        # a stall may follow at once, whether it is open or not
             now = self.now()
             self.writer.fresh.awake('link', now)
         self.reopening.opened(now)
@@ -199,11 +264,10 @@ class Link:
         # The clock after that: what it takes to make its stamp varies, and is not in `now`.
         now = self.now()
         stamp = self._clock()
-        stall = self._awake(now, stamp)
+        stall = self._awake(now)
         if stall:       # what waited is old, and would get a new stamp
             with session.lock:
-                self.writer.begin_anew(f'the bridge stalled for {stall:.3g} s',
-                                       keeps_port=session.FENCED and self.port.is_network)
+                self.writer.begin_anew(stall, keeps_port=session.FENCED and self.port.is_network)
         if self.writer.drops_input:
             self.writer.drops_input = False
             receiver.reset()
@@ -218,9 +282,9 @@ class Link:
         frame_due = receiver.due()
         return self._look_at if frame_due is None else min(self._look_at, frame_due)
 
-    def _awake(self, now: float, stamp: Any) -> float:
-        """Return for how many seconds this thread did not run, if that was a stall, or 0.0."""
-        stall = self.writer.fresh.awake('link', now, stamp)
+    def _awake(self, now: float) -> str:
+        """This thread runs; as `Freshness.awake`."""
+        stall = self.writer.fresh.awake('link', now, self._clock)
         if stall:
             self._publishes_at = now + FRESH
         return stall
@@ -245,7 +309,7 @@ class Link:
     def _check_port(self, now: float) -> None:
         """Begin anew where the port may hold something back, or change it."""
         session, presence = self.session, self.session.presence
-        limit = session.network_silence if session.reads(now) else 0.0
+        limit = session.network_silence if session.reads else 0.0
         if self.port.hides and presence.frame_at is not None and not self.writer.is_silent \
                 and 0 < limit <= now - presence.byte_at:
             self.writer.is_silent = True

@@ -7,7 +7,9 @@ NOT_SENT = 253     # refused by the bridge: nothing was sent
 TIMEOUT = 254      # not known: executed once or not at all, unless it may be repeated
 LOOK = 'check the robot before you repeat it'   # advice where the outcome is not known
 
-STOPPED = 'stopped: call ~stop with data: false'     # why a command is refused meanwhile
+# Why a command is refused.
+STOPPED = 'stopped: call ~stop with data: false'
+NOT_ANNOUNCED = 'the board may have begun anew, and has not announced this since'
 
 
 class Refused(Exception):

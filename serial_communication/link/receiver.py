@@ -1,49 +1,19 @@
 """From bytes that were read to frames in the session, and what is counted of them."""
 import traceback
-from collections import Counter
-from typing import Any, Callable, Dict, Iterable, Optional
+from typing import Any, Optional
 
 from ..framing.stream import UNKNOWN, Frame, FrameTimer, stamped
-from .session import Session
-from .sparing_log import SparingLog
+from .session import RX, Session
 from .stamps import Read, Stamps
 
-RX, TX = 0, 1                  # as in SerialMsg
 _ANNOUNCING = 5.0              # s after the opening in which a board announces what it sends
-
-Tap = Callable[[str, int, Frame], None]      # gets the link's name, RX or TX, and the frame
-
-
-class Traffic:
-    """The traffic of one link; the causes of errors are shown although there are none."""
-
-    def __init__(self, name: str, log: SparingLog, causes: Iterable[str]) -> None:
-        self.tap: Optional[Tap] = None     # called with every frame in and out; None: no listener
-        self.frames_received = 0           # valid ones
-        self.frames_sent = 0
-        self.stale = 0                     # bytes dropped because they may be old
-        self.reported_errors = 0           # those until the latest report
-        self.errors: Dict[str, int] = Counter(dict.fromkeys(causes, 0))     # by cause
-        self._name, self._log = name, log
-
-    def tapped(self, direction: int, frame: Frame) -> None:
-        """Pass a frame to the listener."""
-        tap = self.tap      # another thread may set it to None meanwhile
-        try:
-            if tap:
-                tap(self._name, direction, frame)
-        except Exception:  # pylint: disable=broad-except
-            # Guarded: an error here would look as if the frame had not been sent.
-            self._log.error('fault', traceback.format_exc())
 
 
 class Receiver:
     """Decodes, counts, logs, stamps and passes on what one link receives; in its thread."""
 
-    def __init__(self, session: Session, traffic: Traffic, timer: FrameTimer,
-                 stamps: Stamps) -> None:
-        self._session, self._traffic, self._timer = session, traffic, timer
-        self.stamps = stamps
+    def __init__(self, session: Session, timer: FrameTimer, stamps: Stamps) -> None:
+        self._session, self._timer, self.stamps = session, timer, stamps
 
     def reset(self) -> None:
         """What was received before is dropped, with an incomplete frame."""
@@ -66,7 +36,7 @@ class Receiver:
         if decoder.pending:
             frames += self._timer.overdue(presence.byte_at, now)
         if is_old:
-            self._traffic.stale += len(data)
+            self._session.stale += len(data)
         else:
             for frame in frames:
                 try:
@@ -81,19 +51,19 @@ class Receiver:
 
     def _deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
-        session, traffic, read = self._session, self._traffic, frame.stamp
-        shown = session.shown(stamped(frame, read.stamp)) if traffic.tap else frame
+        session, read = self._session, frame.stamp
+        shown = session.shown(stamped(frame, read.stamp)) if session.tap else frame
         frame = stamped(frame, self.stamps.of(frame, read))
         # The board may still announce a type that is unknown now.
         if frame.cause and (frame.cause != UNKNOWN or session.announcement.on_text is None
                             or now >= session.presence.opened_at + _ANNOUNCING):
-            traffic.errors[frame.cause] += 1
+            session.errors[frame.cause] += 1
             session.log.warn(frame.cause, f'{frame.trouble}: {frame.raw[:24].hex()}')
         if frame.cause:
             session.damaged(frame, now)
         else:
-            traffic.frames_received += 1
+            session.frames_received += 1
             session.presence.heard(now)
             session.received(frame, now)
-        if traffic.tap:
-            traffic.tapped(RX, shown)
+        if session.tap:
+            session.tapped(RX, shown)

@@ -5,16 +5,20 @@ the link writes at once. `now` is in seconds of a clock that also runs while the
 suspended.
 """
 import threading
-from typing import Any, Callable, List, NamedTuple, Optional, Sequence, Tuple
+import traceback
+from collections import Counter
+from typing import Any, Callable, Dict, List, NamedTuple, Optional, Sequence, Tuple
 
 from ..framing.stream import Decoder, Frame
 from .announcement import BoardAnnouncement
+from .line import Line
 from .outcome import Refused  # noqa: F401  for the boards
 from .presence import Presence
 from .settings import BoardSettings
 from .sparing_log import SparingLog
 
 OK, WARN, ERROR = 0, 1, 2      # as in diagnostic_msgs/DiagnosticStatus
+RX, TX = 0, 1                  # as in SerialMsg
 
 
 class Packet(NamedTuple):
@@ -55,12 +59,23 @@ class Session:
     # True: it tells old replies from new ones by itself. What waited during a stall is decoded.
     FENCED = False
     board_settings: Optional[BoardSettings] = None      # None: the board has none
-    # True: `beat` is called by a thread of its own; at shutdown this link is stopped first.
-    BEATS = False
+    reads = True            # the board reads now what is sent to it
+    line: Line              # what was written; set by the link
+    BEATS = False           # True: `beat` is called by a thread of its own
+    # Sent after a packet that may have been cut off: it ends the part that the board has received.
+    ENDS_FRAME = b''
 
     def __init__(self, decoder: Decoder, log: SparingLog, network_silence: float = 0.0) -> None:
         self.decoder = decoder
         self.log = log
+        # By cause, those of the decoder also while there are none.
+        self.errors: Dict[str, int] = Counter(dict.fromkeys(decoder.CAUSES, 0))
+        self.timeouts = 0           # requests without an answer
+        self.frames_received = 0    # valid ones
+        self.frames_sent = 0
+        self.stale = 0              # bytes dropped because they may be old
+        # Called with the link's name, RX or TX, and every frame; None: nobody listens.
+        self.tap: Optional[Callable[[str, int, Frame], None]] = None
         self.lock = threading.RLock()
         self.is_stopped = False     # by ~stop: whatever moves is refused
         self.presence = Presence(log)
@@ -84,9 +99,6 @@ class Session:
 
     def not_sent(self, packet: Packet, why: str) -> None:
         """A packet could not be written."""
-
-    def dropped(self) -> None:
-        """What was written, perhaps a part of a packet, was dropped; the board reads nothing."""
 
     def end(self, why: str, now: float) -> None:
         """The port was closed."""
@@ -136,11 +148,17 @@ class Session:
     def was_reset(self) -> None:
         """The bridge has reset the board."""
 
-    # -- what it looks like -----------------------------------------------------------------
+    def tapped(self, direction: int, frame: Frame) -> None:
+        """Pass a frame to who listens."""
+        tap = self.tap      # another thread may set it to None meanwhile
+        try:
+            if tap:
+                tap(self.NAME, direction, frame)
+        except Exception:  # pylint: disable=broad-except
+            # Guarded: an error here would look as if the frame had not been sent.
+            self.log.error('fault', traceback.format_exc())
 
-    def reads(self, now: float) -> bool:
-        """Whether the board reads now what is sent to it."""
-        return True
+    # -- what it looks like -----------------------------------------------------------------
 
     def condition(self, now: float) -> Condition:
         """The board's state while the port is open."""
@@ -156,10 +174,6 @@ class Session:
     def shown(self, frame: Frame) -> Frame:
         """What `tap` gets for a received frame; called before `received`."""
         return frame
-
-    def error_count(self) -> int:
-        """Errors that only the session counts, so far."""
-        return 0
 
     def values(self) -> List[Tuple[str, Any]]:
         """Further keys and values for /diagnostics."""

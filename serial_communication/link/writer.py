@@ -1,14 +1,13 @@
 """All that is written to a port, from any thread: requests, what stops, heartbeats."""
+import time
 from typing import Any, Callable, Sequence
 
 from ..framing.stream import Frame
 from ..transport.port import Port, PortBusy, PortError
-from .freshness import STALL, Freshness
+from .freshness import Freshness, stall
 from .outcome import Refused
-from .output import Output
-from .receiver import TX, Traffic
 from .reopening import Reopening
-from .session import Doubt, Packet, Session
+from .session import TX, Doubt, Packet, Session
 
 STALLED = 'it may have waited while the bridge stalled; send it again'
 _AT_END = 0.05                 # s that bytes may wait in the port before what stops goes out
@@ -20,16 +19,15 @@ class Writer:
     The arguments are those of the link.
     """
 
-    def __init__(self, port: Port, session: Session, traffic: Traffic, reopening: Reopening,
+    def __init__(self, port: Port, session: Session, reopening: Reopening,
                  clock: Callable[[], Any], now: Callable[[], float]) -> None:
         self.fresh = Freshness()
-        self.output = Output(10.0 / port.baud, port.is_network)
         self.has_ended = False      # nothing may follow what was written last
         self.is_silent = False      # a port that hides what it has not sent is silent
         self.drops_input = False    # the decoder has to begin anew
-        self._port, self._session, self._traffic = port, session, traffic
-        self._reopening = reopening
+        self._port, self._session, self._reopening = port, session, reopening
         self._clock, self._now = clock, now
+        self._beat_at = 0.0
 
     def submit(self, request: Any, stamp: Any = None) -> None:
         """Have the session take a request, which was made at `stamp` (None: unknown), and write
@@ -60,31 +58,33 @@ class Writer:
         if not may_be_old and self.is_silent:
             raise Refused('the board is silent, so the other side of the pseudo terminal may hold '
                           'it back', 'silent')
-        if self.output.stands and not self._session.FENCED:     # whose requests wait anyway
+        if self._session.line.stands and not self._session.FENCED:     # whose requests wait anyway
             raise Refused('the port takes no data', 'busy')
 
     def opened(self, now: float) -> None:
         """The port was opened."""
-        self.is_silent = self.drops_input = self.output.stands = False
-        self.output.dropped(now)
+        self.is_silent = self.drops_input = self._session.line.stands = False
+        self._session.line.dropped(now)
 
     # -- the lock is held -----------------------------------------------------------------
 
     def transmit(self, packets: Sequence[Packet], now: float) -> None:
         """Write packets that were decided at `now`; Refused if one of them is not written."""
+        session = self._session
         for index, packet in enumerate(packets):
             try:
-                stall = self._now() - now
-                if stall > STALL and not self._session.may_be_old(packet.message):
-                    raise Doubt(f'the bridge stalled for {stall:.3g} s')
-                self._port.write(packet.frame)
+                why = stall(self._now() - now)
+                if why and not session.may_be_old(packet.message):
+                    raise Doubt(why)
+                frame = session.ENDS_FRAME + packet.frame if session.line.is_cut else packet.frame
+                self._port.write(frame)
             except (Doubt, PortBusy, PortError) as error:
                 self._failed(packets[index:], error)
-            self.output.wrote(len(packet.frame), now)
-            self._traffic.frames_sent += 1
-            self._session.sent(packet, now)
-            if self._traffic.tap:
-                self._traffic.tapped(TX, Frame(*packet, self._clock()))
+            session.line.wrote(len(frame), now)
+            session.frames_sent += 1
+            session.sent(packet, now)
+            if session.tap:
+                session.tapped(TX, Frame(*packet, self._clock()))
 
     def _failed(self, packets: Sequence[Packet], error: Exception) -> None:
         """The first of these packets was not written."""
@@ -93,7 +93,7 @@ class Writer:
         if isinstance(error, PortError):
             raise Refused(str(error), 'port') from None
         is_busy = isinstance(error, PortBusy)
-        self.output.stands |= is_busy
+        self._session.line.stands |= is_busy
         self.begin_anew(str(error))
         raise Refused(str(error) if is_busy else STALLED, 'busy' if is_busy else 'stall') from None
 
@@ -110,22 +110,22 @@ class Writer:
             packets, moves = self._session.stop(now, why)
             try:
                 self.transmit(packets, now)
-                return moves or ('the port takes no data' if self.output.stands else '')
+                return moves or ('the port takes no data' if self._session.line.stands else '')
             except Refused as refused:
                 failure = str(refused)
         return failure
 
     def check_output(self, now: float, longest: float = 0.0) -> None:
         """Begin anew if bytes wait in a port that sends nothing."""
-        if not self.output.is_stuck(self._port.unsent(), now, longest):
+        line = self._session.line
+        if not line.is_stuck(self._port.unsent(), now, longest):
             return
-        self.output.stands = True
-        if self._session.reads(now):
+        line.stands = True
+        if self._session.reads:
             self.begin_anew('the port takes no data')
         else:
             self._port.renew(keeps_input=True)
-            self.output.dropped(now)
-            self._session.dropped()
+            line.dropped(now)
 
     def begin_anew(self, why: str, keeps_input: bool = False, keeps_port: bool = False) -> None:
         """Drop what waits, unless it is kept, and have the session begin as after an opening."""
@@ -136,8 +136,8 @@ class Writer:
             if self._port.is_network:
                 self._port.give_up(why)
             keeps_input |= self._session.FENCED
-            self._traffic.stale += self._port.renew(keeps_input)
-            self.output.dropped(now)
+            self._session.stale += self._port.renew(keeps_input)
+            self._session.line.dropped(now)
             self.drops_input |= not keeps_input
         self._session.begin(now, is_opening=False)
         self._session.wake()
@@ -145,21 +145,23 @@ class Writer:
     # -- the heartbeat's thread -----------------------------------------------------------
 
     def beat(self) -> float:
-        """Write a heartbeat, and zeros, that are due; return when to be called next."""
+        """Sleep until a heartbeat or a zero is due, and write it; return when the next one is."""
+        time.sleep(max(self._beat_at - self._now(), 0.0))
         if self.has_ended:
             return _NEVER
         with self._session.lock:
             now = self._now()       # read with the lock held: the bridge may stall while it waits
-            stall = self.fresh.awake('beat', now, self._clock())
+            why = self.fresh.awake('beat', now, self._clock)
             try:
-                if stall:
-                    self.begin_anew(f'the bridge stalled for {stall:.3g} s', keeps_input=True)
+                if why:
+                    self.begin_anew(why, keeps_input=True)
                 is_usable = self._port.is_usable and not self.has_ended
                 if is_usable:
                     self.check_output(now)
-                packets, due = self._session.beat(now)      # after a doubt zeros come first
+                # After a doubt zeros come first.
+                packets, self._beat_at = self._session.beat(now)
                 if is_usable:
                     self.transmit(packets, now)
             except Refused:
                 pass        # the link's thread gets it, too, and logs it
-        return due
+        return self._beat_at

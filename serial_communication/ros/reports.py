@@ -41,7 +41,7 @@ class Traffic(rospy.SubscribeListener):
         with self._lock:
             tap = self._enqueue if has_subscribers(self._topic) else None
             for link in self._links:
-                link.traffic.tap = tap
+                link.session.tap = tap
 
     peer_unsubscribe = peer_subscribe
 

@@ -20,7 +20,7 @@ from .port_errors import GONE, PortError
 from .urls import NETWORK, read_url
 
 _READ_SIZE = 4096      # so that a heartbeat never waits until a flood of bytes is decoded
-_SLICE = 0.05      # s; longest wait of pyserial's reads
+_SLICE = 0.05      # s; longest read of pyserial's
 _NOT_SENT = 0x894B     # SIOCOUTQNSD, which no Python module defines
 _MOST_REFUSED = 3      # times in turn that a tty does not take its settings; then it keeps its own
 _PULSE = 0.1       # s for which a control line is changed to reset a board
@@ -39,29 +39,21 @@ class OpenPort:
 
     is_pty = False
     has_baud = False     # whether its bytes were received at the baud rate
-    EVENTS = select.EPOLLIN
 
     def __init__(self, descriptor: int, wake: int) -> None:
         self._fd, self._wake = descriptor, wake
-        self._events = self.EVENTS      # that `_poll` waits for
-        self._poll = select.epoll()
-        self._poll.register(wake, select.EPOLLIN)
-        self._poll.register(descriptor, self.EVENTS)
+        self._poll = select.poll()
+        self._poll.register(wake, select.POLLIN)
 
     def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
         """As `Port.read`; with `wants_room` it also returns when the port can be written."""
-        events = self.EVENTS | select.EPOLLOUT * wants_room
-        if events != self._events:
-            self._events = events
-            self._poll.modify(self._fd, events)
-        return self._wait(None if timeout is None else max(timeout, 0))
-
-    def _wait(self, timeout: Optional[float]) -> bytes:
+        self._poll.register(self._fd, select.POLLIN | select.POLLOUT * wants_room)
         data = b''
-        for descriptor, event in self._poll.poll(timeout):
+        for descriptor, event in self._poll.poll(
+                None if timeout is None else max(timeout * 1e3, 0.0)):
             if descriptor == self._wake:
                 os.read(descriptor, _READ_SIZE)
-            elif event != select.EPOLLOUT:
+            elif event != select.POLLOUT:
                 with suppress(BlockingIOError):
                     data = os.read(self._fd, _READ_SIZE)
                     if not data:
@@ -95,7 +87,6 @@ class OpenPort:
 
     def close(self) -> None:
         """Close it, and drop what is not sent."""
-        self._poll.close()
 
     def _queued(self, request: int) -> int:
         with suppress(OSError):
@@ -104,14 +95,7 @@ class OpenPort:
 
 
 class OpenTty(OpenPort):
-    """A tty, that is a serial device or a pseudo terminal: locked and raw.
-
-    Its events are edge-triggered: the kernel wakes the reader once for what it delivers. Before
-    the reader sleeps, level-triggered ones also make the tty wait for the kernel's worker, which
-    is just ending its delivery: a reader of real-time priority would sleep twice for a packet.
-    """
-
-    EVENTS = select.EPOLLIN | select.EPOLLET
+    """A tty, that is a serial device or a pseudo terminal: locked and raw."""
 
     def __init__(self, opened: serial.SerialBase, wake: int, reset: bool) -> None:
         super().__init__(opened.fileno(), wake)
@@ -134,14 +118,6 @@ class OpenTty(OpenPort):
         # The ioctl has another number on some processors; pyserial's settings do there.
         with suppress(OSError, struct.error):
             self._settings = tty_settings.set_raw(self._fd, opened.baudrate)
-
-    def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
-        data = super().read(timeout, wants_room)
-        if not data:
-            # Only this asks the tty itself, which first waits for what the worker has.
-            self._poll.modify(self._fd, self._events)
-            data = self._wait(0)
-        return data
 
     def _lock(self, request: int) -> None:
         with suppress(OSError):
@@ -180,7 +156,6 @@ class OpenTty(OpenPort):
         setattr(self._serial, line, not is_rts)
 
     def close(self) -> None:
-        super().close()
         self._lock(termios.TIOCNXCL)    # it would last while any other program has the tty open
         self._serial.close()
 
@@ -210,7 +185,6 @@ class OpenSocket(OpenPort):
             with suppress(OSError):     # already gone
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER,
                                         struct.pack('ii', 1, 0))     # resets it
-        super().close()
         # pyserial's close would also sleep for 0.3 s, as long as a stall.
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
@@ -223,19 +197,13 @@ class OpenRfc2217(OpenSocket):
     goes to its socket, since pyserial's write would block."""
 
     def read(self, timeout: Optional[float], wants_room: bool) -> bytes:
-        deadline = None if timeout is None else time.monotonic() + timeout
-        while True:
-            has_time = deadline is None or time.monotonic() < deadline
-            try:
-                data: bytes = self._serial.read(
-                    min(self._serial.in_waiting, _READ_SIZE) or int(has_time))
-            except (AttributeError, TypeError):     # it is closed meanwhile
-                raise PortError('the connection has gone') from None
-            is_woken = False
-            with suppress(BlockingIOError):
-                is_woken = bool(os.read(self._wake, _READ_SIZE))
-            if data or is_woken or wants_room or not has_time:
-                return data
+        with suppress(BlockingIOError):
+            os.read(self._wake, _READ_SIZE)
+        try:
+            return bytes(self._serial.read(
+                min(self._serial.in_waiting, _READ_SIZE) or int(timeout is None or timeout > 0)))
+        except (AttributeError, TypeError):     # it is closed meanwhile
+            raise PortError('the connection has gone') from None
 
     def close(self) -> None:
         super().close()

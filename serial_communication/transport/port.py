@@ -1,7 +1,6 @@
 """A serial port whose reads can be woken and whose writes never block.
 
-A port is a device, or a connection that pyserial opens; rfc2217:// is read in slices of 50 ms.
-`open_port` has the kinds.
+A port is a device, or a connection that pyserial opens; `open_port` has the kinds.
 """
 import glob
 import os
@@ -134,8 +133,8 @@ class Port:
     def read(self, timeout: Optional[float]) -> bytes:
         """Sleep until bytes are received, and return them, at most 4096.
 
-        Return b'' after `timeout` s (None: no limit) or `wake`; raise PortError if the port is
-        gone.
+        Return b'' after `timeout` s (None: no limit) or `wake`, with rfc2217:// after 50 ms at the
+        latest; raise PortError if the port is gone.
         """
         opened = self._opened
         if opened is None or self._failure:

@@ -31,13 +31,6 @@ _HINTS = {
     errno.ECONNREFUSED: 'connection refused; does the server run, and is its port right?',
     errno.ETIMEDOUT: 'the host does not answer',
 }
-# Parts of pyserial's error texts without a number, and their meaning.
-_TEXTS = {
-    'RFC2217': 'the other side does not speak RFC 2217; socket:// is for a plain TCP connection',
-    'while waiting for option': 'the other side does not speak RFC 2217',
-    'timed out': 'the host does not answer',
-    'no ports found': 'no device matches; waiting for one',
-}
 
 
 def explain(error: BaseException) -> str:
@@ -50,4 +43,4 @@ def explain(error: BaseException) -> str:
         cause = cause.__context__
     if system:
         return _HINTS.get(system.args[0]) or str(system.args[1]).lower()
-    return next((meaning for part, meaning in _TEXTS.items() if part in str(error)), str(error))
+    return str(error)

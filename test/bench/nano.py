@@ -75,7 +75,7 @@ def measure(build: str, seconds: float, batch: float) -> Dict[str, List[float]]:
 
         link = ArduinoLink(Port(f'{folder}/adapter' if adapter else board.port),
                            clock=time.monotonic, on_message=on_message)
-        link.traffic.tap = tap
+        link.session.tap = tap
         origin = board.ask('get origin')
         link.start()
         try:

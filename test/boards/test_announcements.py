@@ -47,7 +47,7 @@ def test_the_car_announces_a_text_once_and_a_changed_one_again(car):
     car.give(b''.join(packets(TEXT) * 2 + packets(OTHER)[:1] + packets(TEXT)) + TICKS)
     assert car.texts == [TEXT] and car.got == [arduino.Ticks(1)]
     car.give(b''.join(packets(OTHER)))
-    assert car.texts == [TEXT, OTHER] and not any(car.link.traffic.errors.values())
+    assert car.texts == [TEXT, OTHER] and not any(car.link.session.errors.values())
 
 
 def test_announced_rows_are_used_only_after_this_board_has_announced_them(car):
@@ -61,7 +61,7 @@ def test_announced_rows_are_used_only_after_this_board_has_announced_them(car):
     assert car.got == [Force(7), arduino.Ticks(1)]
     car.unplug().plug().give(force * 3 + TICKS)
     assert car.got[2:] == [arduino.Ticks(1)]
-    with pytest.raises(Refused, match='has not announced it'):
+    with pytest.raises(Refused, match='has not announced this'):
         link.command(Force(2))
     car.give(packets(TEXT)[2] + force)
     assert car.got[3:] == [Force(7)]

@@ -11,7 +11,7 @@ import pytest
 from lines import Pty
 from waiting import PATIENCE
 
-from serial_communication.link import freshness, writer
+from serial_communication.link import freshness
 from serial_communication.transport.port import Port
 
 _LIMIT = 2 * PATIENCE     # s for one test
@@ -50,8 +50,7 @@ def every_thread_ends():
 @pytest.fixture(autouse=True)
 def this_machine_stalls_no_link(monkeypatch):
     """Links do not drop what waited while this machine gave them no processor time."""
-    for module in freshness, writer:
-        monkeypatch.setattr(module, 'STALL', _NEVER)
+    monkeypatch.setattr(freshness, 'STALL', _NEVER)
 
 
 @pytest.fixture

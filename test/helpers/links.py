@@ -4,6 +4,8 @@ import logging
 from serial_communication.boards.arduino import wire
 from serial_communication.boards.arduino.session import CarOptions, CarSession
 from serial_communication.boards.bus import link as bus
+from serial_communication.boards.bus.call import MasterOptions
+from serial_communication.boards.bus.session import MasterSession
 from serial_communication.boards.mcu.session import SensorSession
 from serial_communication.link.link import Link
 from serial_communication.link.sparing_log import SparingLog
@@ -20,8 +22,7 @@ class ArduinoLink(Link):
                  **arguments):
         of_link = {name: arguments.pop(name) for name in _OF_LINK if name in arguments}
         super().__init__(port, CarSession(
-            SparingLog('arduino', logger, clock=now), options, byte_time=10.0 / port.baud,
-            **arguments), now=now, **of_link)
+            SparingLog('arduino', logger, clock=now), options, **arguments), now=now, **of_link)
         for message in messages:
             self.session.decoder.add_message(message)
 
@@ -50,6 +51,6 @@ class McuLink(Link):
 class BusLink(bus.BusLink):
     """A link to the control board, without polls; likewise."""
 
-    def __init__(self, port, options=bus.MasterOptions(), logger=_LOGGER, now=clock, **arguments):
-        super().__init__(port, bus.MasterSession(SparingLog('bus', logger, clock=now), options),
+    def __init__(self, port, options=MasterOptions(), logger=_LOGGER, now=clock, **arguments):
+        super().__init__(port, MasterSession(SparingLog('bus', logger, clock=now), options),
                          now=now, **arguments)

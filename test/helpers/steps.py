@@ -4,7 +4,7 @@ For what a link says and refuses. What it does when, and under faults, the judge
 """
 from links import BusLink
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.master import MasterOptions
+from serial_communication.boards.bus.call import MasterOptions
 from serial_communication.transport.port import Port
 
 
@@ -91,7 +91,7 @@ class Steps:
     def __init__(self, kind, *arguments, port=None, **options):
         self.port = port or MemoryPort()
         self.link = kind(self.port, *arguments, now=lambda: self.port.time, **options)
-        self._due = dict.fromkeys(self.link.loops(), 0.0)
+        self._due = dict.fromkeys(self.link.loops().values(), 0.0)
 
     def run(self, seconds):
         """Let so much time pass."""

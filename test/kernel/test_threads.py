@@ -171,7 +171,7 @@ def test_what_the_borrower_did_to_the_tty_is_put_right(line, sensors, borrow):
     every = bytes(range(256))
     sensors.port.write(every)
     assert line.read_all() == every
-    until(lambda: sensors.traffic.frames_received or line.write(STATUS))
+    until(lambda: sensors.session.frames_received or line.write(STATUS))
 
 
 @pytest.mark.parametrize('by, expected', [

@@ -72,10 +72,11 @@ def test_a_reset_is_a_pulse_and_the_port_stays_open(sensors):
 
 
 def test_a_board_without_such_a_line_is_not_reset(sensors):
-    assert reset(sensors, '') == refused(
-        'no line that resets this board is known (parameter reset_line)')
+    no_line = refused(
+        'the port /dev/none has no line that resets its board (parameter reset_line)')
+    assert reset(sensors, '') == no_line
     sensors.port._opened.is_pty = True
-    assert reset(sensors) == refused('the port /dev/none has no control lines')
+    assert reset(sensors) == no_line
     sensors.port._opened.is_pty = False
     sensors.unplug()
     assert reset(sensors) == refused('the port is closed')

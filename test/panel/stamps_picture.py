@@ -39,7 +39,7 @@ def measure(line):
     def shown(_link, _direction, frame):
         if frame.type == wire.Time.TYPE:
             latest.update(ticks=frame.ticks, read=frame.stamp)
-    link.traffic.tap = shown
+    link.session.tap = shown
     link.start()
     runner = Runner(car, Port(line.far),
                     faults=Faults(parse(f'drift={DRIFT} batch={BATCH}', car)))

@@ -13,7 +13,9 @@ from serial_communication.boards.arduino import wire as car_wire
 from serial_communication.boards.arduino.session import CarOptions, CarSession
 from serial_communication.boards.bus import DESCRIPTION as BUS
 from serial_communication.boards.bus import wire as bus_wire
-from serial_communication.boards.bus.link import BusLink, MasterOptions, MasterSession
+from serial_communication.boards.bus.call import MasterOptions
+from serial_communication.boards.bus.link import BusLink
+from serial_communication.boards.bus.session import MasterSession
 from serial_communication.boards.mcu.session import SensorSession
 from serial_communication.framing.announcement import read_announcement
 from serial_communication.framing.rows import BOARD, FILE, Kind
@@ -105,10 +107,10 @@ class Robot:
                                   self._publish(bus_wire.Environment.unpack(outcome.data),
                                                 outcome.stamp))
             self.link = BusLink(port, session, **clocks)
-        self.loops = [Loop(world, step) for step in self.link.loops()]
+        self.loops = [Loop(world, step) for step in self.link.loops().values()]
         port.wake = device.on_input = self.loops[0].wake    # type: ignore[method-assign]
         if is_tapped:
-            self.link.traffic.tap = lambda _name, direction, frame: self.tapped.append(
+            self.link.session.tap = lambda _name, direction, frame: self.tapped.append(
                 (direction, frame.raw, frame.cause))
         self.link.lending.reset_line = 'dtr'
         self.link.session.announcement.on_text = lambda text: world.after(

@@ -30,33 +30,36 @@ def _returns(value: Any) -> Callable[[Callable], Callable]:
     return lambda _method: lambda *_, **__: value
 
 
-def _without_calibration(method: Callable, session: Any, *arguments: Any) -> Any:
-    calibration, session.calibration = session.calibration, None
+def _without(attribute: str, method: Callable, session: Any, *arguments: Any) -> Any:
+    value = getattr(session, attribute)
+    setattr(session, attribute, None)
     try:
         return method(session, *arguments)
     finally:
-        session.calibration = calibration
+        setattr(session, attribute, value)
 
 
 MUTANTS: Dict[str, Mutant] = {
     'no fence before a call': Mutant(
-        'a fence precedes every call', 'boards.bus.session.Channel', 'is_fenced', _returns(True)),
+        'a fence precedes every call', 'boards.bus.channel.Channel', 'is_fenced', _returns(True)),
     'a move is sent again after a timeout': Mutant(
         'a move is never sent again after a timeout', 'boards.bus.call.Queue', 'again',
         lambda _method: lambda self, call, *_, **__: self.waiting.insert(0, call)),
     'a stop waits for its turn': Mutant(
-        'a stop is sent at once', 'boards.bus.call.Queue', 'urgent', _nothing),
+        'a stop is sent at once', 'boards.bus.call.Queue', 'urgent', _returns([])),
     'an old call is sent after a stall': Mutant(
         'a call is as old as a command', 'link.freshness.Freshness', 'is_fresh', _returns(True)),
     'a call outlives its port': Mutant(
-        'an outstanding call is not known when the port closes', 'boards.bus.master.Master',
+        'an outstanding call is not known when the port closes', 'boards.bus.session.MasterSession',
         'end', _nothing),
     'no SYNC after an opening': Mutant(
-        'SYNC comes first', 'boards.bus.session.Channel', 'begin',
+        'SYNC comes first', 'boards.bus.channel.Channel', 'begin',
         lambda _method: lambda self: setattr(
             self, 'state', type(self.state).OUT_OF_STEP)),
     'moves while stopped': Mutant(
-        '~stop holds on the bus', 'boards.bus.link.MasterSession', '_refuses', _returns('')),
+        '~stop holds on the bus', 'boards.bus.session.MasterSession',
+        '_outcome_of_waiting', lambda method: lambda self, call, now: _without(
+            'is_stopped', method, self, call, now)),
     'the timeout of the speed is doubled': Mutant(
         'SPEED 0 after 0.5 s without a command', 'boards.arduino.motion.Motion', '__init__',
         lambda method: lambda self, zero, timeout: method(self, zero, 2 * timeout)),
@@ -68,7 +71,7 @@ MUTANTS: Dict[str, Mutant] = {
     'a stall is not noticed by the car': Mutant(
         'commands of a stall are refused', 'link.freshness.Freshness', 'awake',
         lambda _method: lambda self, loop, now, stamp=None: self._awake.update(
-            {loop: now}) or 0.0),
+            {loop: now}) or ''),
     'a backlog is kept': Mutant(
         'what stands in a port is dropped', 'transport.port.Port', 'renew', _returns(0)),
     'heartbeats wait for the link': Mutant(
@@ -77,12 +80,13 @@ MUTANTS: Dict[str, Mutant] = {
             method(self), self._now() + 0.04)),
     'commands while it calibrates': Mutant(
         'a calibrating board is left alone', 'boards.arduino.session.CarSession', 'submit',
-        lambda method: lambda self, message, now: _without_calibration(method, self, message, now)),
+        lambda method: lambda self, message, now: _without(
+            'calibration', method, self, message, now)),
     'the car moves while stopped': Mutant(
         '~stop holds', 'boards.arduino.session.CarSession', '_moves', _returns(False)),
     'stale bytes are published': Mutant(
         'no stale value', 'link.link.Link', '_awake', lambda _method:
-            lambda self, now, stamp: self.writer.fresh.awake('link', now, stamp) and 0.0),
+            lambda self, now: self.writer.fresh.awake('link', now) and ''),
     'an announcement is kept over an opening': Mutant(
         'announced rows wait', 'link.announcement.BoardAnnouncement', 'reset', _nothing),
     'values of an old announcement': Mutant(
@@ -113,7 +117,8 @@ MUTANTS: Dict[str, Mutant] = {
             lambda self, frame, now: [method(self, frame, now) for _ in range(
                 1 + (frame.raw[2:3] == b'\x05'))]),
     'a call is given up behind another one': Mutant(
-        'a call is not given up while it may be served', 'boards.bus.master.Master', '_timed_out',
+        'a call is not given up while it may be served', 'boards.bus.session.MasterSession',
+        '_timed_out',
         lambda method: lambda self, exchange, now: (
             self.queue.end(lambda call: call.without_reply('busy')), method(
                 self, exchange, now))),
@@ -132,7 +137,7 @@ MUTANTS: Dict[str, Mutant] = {
     'damage is counted twice': Mutant(
         'what is damaged is counted once', 'link.receiver.Receiver', '_deliver',
         lambda method: lambda self, frame, now: (
-            method(self, frame, now), self._traffic.errors.update(
+            method(self, frame, now), self._session.errors.update(
                 framing=frame.cause == 'framing'))),
     'a silent pty is trusted': Mutant(
         'a silent pty takes no command', 'link.link.Link', '_check_port', _returns(None)),

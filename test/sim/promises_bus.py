@@ -380,8 +380,8 @@ def refused_calls_are_repeated(e: Evidence) -> Verdicts:
              if called.name != 'environment' and asked.count(called.request) == 1}
     halts = [(each, each) for each in e.story.stopped_at] + [
         (called.time, called.time) for called in e.story.calls if called.name == 'halt']
-    faults = e.stops + e.events('blocked', 'silence', 'reset', 'altered', 'unplugged', 'cut',
-                               'noise')
+    faults = e.stops + e.events(
+        'blocked', 'silence', 'reset', 'altered', 'unplugged', 'cut', 'noise')
     for refusal in e.of_type(e.read, INVALID):
         before = [frame for frame in _plain(e) if frame.time <= refusal.time][-1:]
         tries = [each for each in functions if before and each.time <= refusal.time

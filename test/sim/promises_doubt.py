@@ -4,8 +4,8 @@ import re
 from typing import Dict, Iterator, List, Tuple
 
 from evidence import Evidence, Interval, longer, merged, overlaps
-from promises import (CALIBRATION, DRIVE, ECHO, FRESH, FUNCTION, HALT, HEARTBEAT, SLACK, SYNC,
-                      Verdicts, is_zero, told)
+from promises import (CALIBRATION, DRIVE, ECHO, FRESH, FUNCTION, HALT, HEARTBEAT, SLACK,
+                      SYNC, Verdicts, is_zero, told)
 from promises_car import asks_for_zero, repeated, times_out
 
 _LINES = 10.0       # s in which a line is not said again

@@ -15,7 +15,7 @@ _MCU_LENS = {0x10: 12, 0x01: 14, 0xFE: 6}
 def _is_calm(e: Evidence) -> bool:
     """Nothing was damaged, nothing disturbed the link, and all types were known from the start."""
     device = e.story.device
-    return not (e.kind == 'arduino' and e.story.announces) \
+    return not (e.kind != 'bus' and e.story.announces) \
         and not any(device.damage_sent) and not any(device.damage_received) \
         and not e.stalls[0] and not [each for each in e.story.events if each.name != 'stop']
 

@@ -56,7 +56,7 @@ class BoardBinder(Binder):
         super().__init__(CarSession(
             sparing_log(DESCRIPTION.name), options, on_message=self._received,
             on_log=lambda severity, text: _LOG_FUNCTIONS[severity]('arduino says: %s', text),
-            on_calibrating=self._calibrating.publish, byte_time=10.0 / p['baud']), p)
+            on_calibrating=self._calibrating.publish), p)
         rospy.Service('~calibrate_imu', Empty, self._calibrate)
 
     def _calibrate(self, _request: Any) -> EmptyResponse:

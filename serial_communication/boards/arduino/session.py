@@ -8,22 +8,19 @@ from typing import Any, Callable, Dict, Iterator, List, NamedTuple, Optional, Tu
 from ...framing.announcement import Chunk
 from ...framing.layout import LayoutMessage
 from ...framing.stream import SETTING, Frame
-from ...link.outcome import STOPPED
+from ...link.outcome import NOT_ANNOUNCED, STOPPED
 from ...link.session import OK, WARN, Condition, Packet, Refused, Session
 from ...link.settings import BoardSettings
 from ...link.sparing_log import SparingLog
-from ...transport.pace import Allowance
 from . import DESCRIPTION, LONGEST_GAP, wire
 from .calibration import BACK, Calibration
-from .heartbeats import Heartbeats, LineTime
-from .motion import Motion
+from .motion import Heartbeats, Motion
 
 _LONGEST_BURST = 0.05    # s of wire time that may wait; then more commands are refused
 _LONGEST_SLEEP = 0.02    # s; a low heartbeat rate must not make a zero late
-_BOARD_LINES = 100, 10.0     # log lines of the board that are taken: in a burst, then per second
 _CALIBRATES = 'the board calibrates its IMU, which takes minutes'
 _RESET = 'the board was reset: the calibration is over'
-_HEARTBEAT = wire.Heartbeat()
+_HEARTBEAT = Packet(wire.encode(wire.Heartbeat()), wire.Heartbeat.TYPE, 0, b'', wire.Heartbeat())
 _STILL = wire.SteeringCommand.TYPE, wire.LedCommand.TYPE, SETTING    # what ~stop does not refuse
 _OVERHEAD = 4            # bytes of a packet besides its data, at most
 
@@ -44,21 +41,19 @@ class CarSession(Session):
     Args:
         on_message: called in the link's thread with the (message, stamp) of each message except
             log messages, announcements and TIME.
-        on_log: called in the link's thread with the (severity 0 … 3, text) of each log message; if
-            the board sends too many, some are dropped.
+        on_log: called in the link's thread with the (severity 0 … 3, text) of each log message.
         on_calibrating: called with True when a calibration begins, with False when it ends.
-        byte_time: s that the line needs for a byte.
     """
 
     NAME = DESCRIPTION.name
     board_settings: BoardSettings
     BEATS = True
+    ENDS_FRAME = DESCRIPTION.between
 
     def __init__(self, log: SparingLog, options: CarOptions = CarOptions(),
                  on_message: Callable[[Any, Any], None] = lambda message, stamp: None,
                  on_log: Callable[[int, str], None] = lambda severity, text: None,
-                 on_calibrating: Callable[[bool], None] = lambda on: None,
-                 byte_time: float = 10 / 115200) -> None:
+                 on_calibrating: Callable[[bool], None] = lambda on: None) -> None:
         decoder = wire.Decoder(options.check_plausibility)
         super().__init__(decoder, log, options.network_silence)
         self.board_settings = BoardSettings(log, decoder, lambda: self.wake())
@@ -68,9 +63,6 @@ class CarSession(Session):
         self._on_message, self._on_log, self._on_calibrating = on_message, on_log, on_calibrating
         self._motions: Dict[int, Motion] = {}      # by type
         self.add_motion(wire.SpeedCommand(0))
-        self._line = LineTime(byte_time)
-        self._is_cut = True                  # the latest packet may have been sent in part
-        self._board_lines = Allowance(*_BOARD_LINES)
 
     # -- motions --------------------------------------------------------------------------
 
@@ -112,14 +104,14 @@ class CarSession(Session):
         if reason:
             raise Refused(reason, 'value')
         calibrates = isinstance(request, wire.ImuCalibration)
-        if request.ANNOUNCED:
-            self.announcement.refuse_unless_current(f'{request}')
+        if request.ANNOUNCED and not self.announcement.is_current:
+            raise Refused(NOT_ANNOUNCED, 'not announced')
         if self.calibration:
             raise Refused(_CALIBRATES, 'calibrating')
         if self.is_stopped and self._moves(request):
             raise Refused(STOPPED, 'stopped')
         ends = self._is_zero(request) and self._motions[request.TYPE].moves
-        if self._line.waiting(now) > _LONGEST_BURST and not ends:
+        if self.line.free_at - now > _LONGEST_BURST and not ends:
             raise Refused('the line has not sent the commands before it', 'busy')
         zeros = [motion.zero for motion in self._known() if calibrates and motion.moves]
         return self._packets([*zeros, request], now)
@@ -128,21 +120,19 @@ class CarSession(Session):
         return self._is_zero(request) or request.TYPE == SETTING
 
     def beat(self, now: float) -> Tuple[List[Packet], float]:
-        messages: List[Any] = []
         # The board reads nothing while it calibrates. But if IMU data is still received, the line
         # may have lost the request to calibrate and the zeros before it.
         calibration = self.calibration      # the link's thread may set it to None
         reads = calibration is None or calibration.data_goes_on(now)
-        for motion in self._known():
-            if not motion.due(now, reads):
-                continue
-            messages.append(motion.zero)
+        ended = [motion for motion in self._known() if motion.due(now, reads)]
+        for motion in ended:
             if motion.moves and not motion.is_unknown:
                 self.log.warn(f'timeout {motion.zero.LABEL}', f'no {motion.zero.LABEL} command for '
                               f'{self._options.speed_timeout:g} s: sent its zero')
+        packets = self._packets([motion.zero for motion in ended], now) if ended else []
         if self.heartbeats.pace.passed(now):
-            messages.append(_HEARTBEAT)
-        return self._packets(messages, now), min(self.heartbeats.pace.due, now + _LONGEST_SLEEP)
+            packets.append(_HEARTBEAT)
+        return packets, min(self.heartbeats.pace.due, now + _LONGEST_SLEEP)
 
     def due(self, now: float, is_drained: bool) -> Tuple[List[Packet], Optional[float]]:
         self.idle(now)
@@ -167,28 +157,22 @@ class CarSession(Session):
         for message in first + messages:
             data = message.pack()
             # A heartbeat goes before what would delay the next one too much.
-            if not (message is _HEARTBEAT or self._is_zero(message)) \
-                    and self._line.delays_heartbeat(len(data) + _OVERHEAD, now) \
+            if not self._is_zero(message) \
+                    and self.heartbeats.is_late(self.line.sent_at(len(data) + _OVERHEAD, now)) \
                     and not self.heartbeats.is_overdue(now):
-                packets.append(self._packet(_HEARTBEAT, b'', not packets))
-            packets.append(self._packet(message, data, not packets))
+                packets.append(_HEARTBEAT)
+            packets.append(Packet(wire.encode_raw(message.TYPE, data), message.TYPE, 0, data,
+                                  message))
         return packets
-
-    def _packet(self, message: Any, data: bytes, is_first: bool) -> Packet:
-        # After a packet that was cut off, a 0x00 ends the part that the board has received.
-        begin = b'\0' if self._is_cut and is_first else b''
-        return Packet(begin + wire.encode_raw(message.TYPE, data), message.TYPE, 0, data, message)
 
     def sent(self, packet: Packet, now: float) -> None:
         message = packet.message
-        self._is_cut = False
-        self._line.wrote(len(packet.frame), now, message is _HEARTBEAT)
-        if message is _HEARTBEAT:
-            self.heartbeats.count(now)
+        if packet is _HEARTBEAT:
+            self.heartbeats.count(now, self.line.free_at)
         elif packet.type in self._motions:
             self._motions[packet.type].sent(message, now)
         elif isinstance(message, wire.ImuCalibration):
-            self.calibration = Calibration(now)
+            self.calibration, self.reads = Calibration(now), False
             self._on_calibrating(True)
 
     def not_sent(self, packet: Packet, why: str) -> None:
@@ -202,33 +186,20 @@ class CarSession(Session):
             motion.forget()
         self.board_settings.reset()
         self.heartbeats.begin(now)
-        self.dropped()
         calibration = self.calibration      # the link's thread may set it to None
         if calibration:
             calibration.watch_again(now)
 
-    def dropped(self) -> None:
-        self._line.restart()
-        self._is_cut = True
-
     def end(self, why: str, now: float) -> None:
         for motion in self._motions.values():
-            if motion.moves:
-                self.log.warn('moved', f'the port closed while the board may have been moving: '
-                              f'{motion.zero} is sent first when it is open again')
             motion.forget()         # any thread may be the first to write when it is open again
-        self.dropped()
         self.heartbeats.begin(None)
         self.board_settings.reset()
 
     def received(self, frame: Frame, now: float) -> None:
         message = frame.message
         if frame.type < len(wire.LOGS):
-            if self._board_lines.take(now):
-                self._on_log(frame.type, message.value)
-            else:
-                self.log.warn('chatter', 'the board logs too much (over {} lines at once or {:g} a '
-                              'second): some lines are left out'.format(*_BOARD_LINES))
+            self._on_log(frame.type, message.value)
         elif isinstance(message, Chunk):
             self.announcement.add(message)
         elif frame.type == SETTING:
@@ -253,7 +224,7 @@ class CarSession(Session):
     def _end_calibration(self, why: str) -> None:
         """End the calibration, if there is one; '': it is not over."""
         if why and self.calibration:
-            self.calibration = None
+            self.calibration, self.reads = None, True
             if why in (BACK, _RESET):
                 self.log.info('calibrated', why)
             else:
@@ -261,9 +232,6 @@ class CarSession(Session):
             self._on_calibrating(False)
 
     # -- what it looks like -------------------------------------------------------------------
-
-    def reads(self, now: float) -> bool:
-        return self.calibration is None
 
     def under_way(self, is_reset: bool = False) -> str:
         return _CALIBRATES if self.calibration and not is_reset else ''
@@ -278,10 +246,8 @@ class CarSession(Session):
             return Condition(WARN if found.level else OK, 'calibrating', 'calibrating the IMU')
         if gap <= LONGEST_GAP:
             return found
-        text = (f'heartbeat gap of {gap * 1e3:.1f} ms: after 30 ms the board stops its motor; see '
-                '"Let the bridge come first" in doc/troubleshooting.md')
-        return Condition(WARN, found.name, text if found.level == OK else
-                         f'{found.summary}; {text}')
+        return Condition(WARN, found.name, f'{found.summary}; heartbeat gap of {gap * 1e3:.1f} ms: '
+                         'after 30 ms the board stops its motor')
 
     def values(self) -> List[Tuple[str, Any]]:
         return [('heartbeats sent', self.heartbeats.sent),

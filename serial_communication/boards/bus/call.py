@@ -1,7 +1,7 @@
 """Calls of the bus: a request and its outcome, and the queue in which calls wait for their turn."""
 import threading
 from dataclasses import dataclass, field
-from typing import Any, Callable, List, Optional
+from typing import Any, Callable, List, NamedTuple, Optional, Tuple
 
 from ...link.outcome import LOOK, NOT_SENT, TIMEOUT, Outcome
 from . import wire
@@ -32,6 +32,15 @@ class Call:
         """The outcome if it is not sent, or not sent again; rule 7."""
         return self.told or Outcome(NOT_SENT, f'{why}; nothing was sent')
 
+    def data_error(self, reply: wire.Reply, echoes: bool) -> Tuple[str, str]:
+        """Why the data of an OK are invalid, '' if they are not: the cause that is counted, and in
+        words; rule 5."""
+        if not echoes and reply.data and self.function.reply.is_empty:
+            return '', 'it has data, so it is the reply to another request'
+        cause, error = self.function.data_error(reply)
+        return cause, error and (f'the OK to "{self.request}" is invalid: {error}; check that the '
+                                 'board\'s firmware has the same layout')
+
     def finish(self, outcome: Outcome) -> None:
         """Set the outcome; only the first one counts."""
         if self.outcome is None:
@@ -39,6 +48,26 @@ class Call:
             if outcome.success and self.on_success:
                 self.on_success(outcome)
         self.over.set()
+
+
+class MasterOptions(NamedTuple):
+    """Parameters of the session; times are in s."""
+
+    reply_timeout: float = 0.5
+    motion_timeout: float = 5.0
+    retries: int = 2                   # further tries of a repeatable request
+    environment_datelen: int = 2
+    reply_has_cmd2: bool = False
+    echo: bool = True                  # whether the board knows ECHO
+    announcements: bool = False        # ask the board for its announcement after each connect
+
+    def call(self, request: wire.Request, function: wire.Function, now: float,
+             on_success: Optional[OnSuccess] = None, is_poll: bool = False) -> Call:
+        """A call, to be submitted."""
+        moves = wire.BUILT_IN.get(request[:2], function).moves      # a raw request may be one, too
+        timeout = self.motion_timeout if moves else self.reply_timeout
+        return Call(request, function, function.timeout or timeout, 1 + self.retries, now, is_poll,
+                    on_success)
 
 
 class Queue:
@@ -52,13 +81,18 @@ class Queue:
         self.longest_wait = longest_wait
         self.waiting: List[Call] = []
 
-    def urgent(self) -> Optional[Call]:
-        """The stop to send now, whatever is outstanding; rule 8."""
-        return next((call for call in self.waiting if call.is_urgent), None)
+    def urgent(self) -> List[Call]:
+        """The stops to send now, whatever is outstanding; rule 8."""
+        return [call for call in self.waiting if call.is_urgent]
 
     def next(self) -> Optional[Call]:
         """The call to send next: calls go before polls; rule 1."""
         return min(self.waiting, key=lambda call: call.is_poll) if self.waiting else None
+
+    def due(self) -> float:
+        """When the next one has waited for too long."""
+        return min((call.waits_since + self.longest_wait for call in self.waiting),
+                   default=float('inf'))
 
     def again(self, call: Call, now: float, told: Outcome,
               refused: Optional[Outcome] = None) -> None:
@@ -66,6 +100,23 @@ class Queue:
         again."""
         call.told, call.refused, call.waits_since = told, refused, now
         self.waiting.insert(0, call)
+
+    def answered(self, call: Call, outcome: Outcome, now: float, is_certain: bool) -> None:
+        """A try has ended with a reply.
+
+        Args:
+            is_certain: whether no other reply was received, or may have been, since its request.
+        """
+        code = outcome.error_code
+        if outcome.status != wire.INVALID:
+            call.finish(outcome)
+            return
+        if code not in (wire.NOT_SYNCHRONISED, wire.CHECKSUM_MISMATCH):
+            call.tries = 0
+        may_be_done = call.told and not call.refused    # an earlier try
+        self.again(call, now, unknown(
+            f'received INVALID ({wire.describe_error(code)}), perhaps because of noise on the line',
+            code), outcome if is_certain and not may_be_done else None)
 
     def end(self, outcome_of_call: Callable[[Call], Optional[Outcome]]) -> None:
         """End the calls that have an outcome now."""

@@ -18,7 +18,9 @@ from ...ros.logs import sparing_log
 from ...ros.parameters import Parameter, seconds
 from ...ros.publishing import publisher
 from . import DESCRIPTION, wire
-from .link import BusLink, MasterOptions, MasterSession
+from .call import MasterOptions
+from .link import BusLink
+from .session import MasterSession
 
 _DEFAULTS = MasterOptions()
 

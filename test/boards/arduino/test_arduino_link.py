@@ -82,4 +82,4 @@ def test_implausible_values_are_dropped_only_if_checked(logger, check):
                 on_message=lambda message, stamp: got.append(message))
     car.give(arduino.encode(arduino.SteeringAngle(2000)) + arduino.encode(arduino.Ticks(1)))
     assert (arduino.SteeringAngle(2000) in got) != check and arduino.Ticks(1) in got
-    assert car.link.traffic.errors['implausible'] == check
+    assert car.link.session.errors['implausible'] == check

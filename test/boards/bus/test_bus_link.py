@@ -7,7 +7,7 @@ from fake_bus import gimbal, lift
 from serial_communication.link.session import ERROR, OK
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.master import MasterOptions
+from serial_communication.boards.bus.call import MasterOptions
 
 LIFT = lift(0, 100)
 

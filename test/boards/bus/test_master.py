@@ -8,9 +8,10 @@ import pytest
 
 from fake_bus import gimbal, lift
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus import session
-from serial_communication.boards.bus.master import Master, MasterOptions
-from serial_communication.boards.bus.session import TABLE, Event, Kind, State
+from serial_communication.boards.bus import channel
+from serial_communication.boards.bus.call import MasterOptions
+from serial_communication.boards.bus.channel import TABLE, Event, Kind, State
+from serial_communication.boards.bus.session import MasterSession
 from serial_communication.framing.layout import Layout, Value
 from serial_communication.framing.rows import BOARD
 from serial_communication.framing.stream import CHECKSUM, FRAMING, Frame, invalid_frame
@@ -52,21 +53,16 @@ class Player:
 
     def __init__(self, echo=True):
         self.now, self.nonces, self.calls, self.doubts = 100.0, [b'0', b'1'], {}, []
-        self.announced = self.stopped = False
-        self.log = []
+        self.log, self.sent = [], []        # lines; packets that no step has asked for yet
         logger = logging.Logger('master')
         logger.addHandler(logging.Handler())
         logger.handlers[0].emit = lambda record: self.log.append(record.getMessage())
-        self.master = Master(MasterOptions(echo=echo), SparingLog('bus', logger), self._nonce,
-                             self._refuses, lambda now: setattr(self, 'announced', False))
+        self.master = MasterSession(SparingLog('bus', logger), MasterOptions(echo=echo),
+                                    self._nonce)
 
     def _nonce(self):
         self.nonces.append(b'n%03d' % len(self.nonces))
         return self.nonces[-1]
-
-    def _refuses(self, function):
-        return 'stopped' if self.stopped and not function.repeatable else \
-            'not announced' if function.announced and not self.announced else ''
 
     def play(self, script):
         for step in filter(None, map(str.strip, script.replace('\n', ' ').split(';'))):
@@ -79,10 +75,10 @@ class Player:
             elif verb == '<':
                 for word in rest.split():
                     reply = self._reply(*word.partition(':')[::2])
-                    self.master.channel.heard(self.now)
+                    self.master.presence.byte_at = self.now
                     self.master.received(Frame(b'', reply.cmd1, 0, reply.data, reply), self.now)
             elif verb in ('damaged', 'noise'):
-                self.master.channel.heard(self.now)
+                self.master.presence.byte_at = self.now
                 self.master.damaged(invalid_frame(
                     b'\xa5', CHECKSUM if verb == 'damaged' else FRAMING, verb), self.now)
             elif verb[0] == '+':
@@ -95,38 +91,45 @@ class Player:
 
     def _happens(self, step):
         master = self.master
-        {'open': lambda: master.begin(self.now), 'close': lambda: master.end('unplugged', self.now),
-         'doubt': lambda: master.doubt('another program', self.now),
+        {'open': lambda: master.begin(self.now, is_opening=True),
+         'close': lambda: master.end('unplugged', self.now),
+         'doubt': lambda: master.begin(self.now, is_opening=False),
          'stall': self._stall,
          'busy': lambda: master.not_sent(self.latest, 'the port takes no data'),
-         'announced': lambda: setattr(self, 'announced', True),
-         'stopped': lambda: setattr(self, 'stopped', True)}.get(
+         'announced': self._announced,
+         'stopped': lambda: setattr(master, 'is_stopped', True)}.get(
              step, lambda: self._is(step))()
 
     def _is(self, words):
-        assert self.master.channel.condition is getattr(session, words.upper().replace(' ', '_'))
+        assert self.master.channel.condition is getattr(channel, words.upper().replace(' ', '_'))
 
     def _stall(self):
         self.now += 0.6
-        self.master.doubt('the bridge stalled', self.now)
+        self.master.begin(self.now, is_opening=False)
+
+    def _announced(self):
+        self.master.announcement.assembly.whole(b'')
+        self.master.announcement.use(b'', '', ['own', 'ownstop'])
 
     def submit(self, name, asked, **options):
-        self.calls[name] = self.master.make(*FUNCTIONS[name], asked, **options)
-        self.master.submit(self.calls[name], self.now)
+        self.calls[name] = self.master.options.call(*FUNCTIONS[name], asked, **options)
+        self.sent += self.master.submit(self.calls[name], self.now)
 
-    def tick(self):
+    def tick(self, has_read_all=False):
         try:
-            self.master.tick(self.now)
+            self.sent += self.master.due(self.now, has_read_all)[0]
         except Doubt as doubt:
             self.doubts.append(doubt)
-            self.master.doubt(str(doubt), self.now)
-            self.master.tick(self.now)
+            self.master.begin(self.now, is_opening=False)
+            self.tick(has_read_all)
 
     def next(self):
-        self.tick()
-        request = self.master.next(self.now, True)
-        self.latest = request or self.__dict__.get('latest')
-        return request
+        if not self.sent:
+            self.tick(has_read_all=True)
+        if not self.sent:
+            return None
+        self.latest = self.sent.pop(0)
+        return self.latest.message
 
     def _sends(self, name, behind_fence, step):
         request = self.next()
@@ -272,11 +275,11 @@ def test_what_may_still_wait_is_dropped_before_a_caller_is_told(name, heard, is_
     player.play(f'{IN_STEP} call {name}; >+ {name}; +0.1' + '; noise' * heard)
     player.now += 5.0
     try:
-        player.master.tick(player.now)
+        player.master.due(player.now, False)
     except Doubt:
         assert is_dropped and player.calls[name].outcome is None
-        player.master.doubt('what may wait is dropped', player.now)
-        player.master.tick(player.now)
+        player.master.begin(player.now, is_opening=False)
+        player.master.due(player.now, False)
     else:
         assert not is_dropped
     assert player.calls[name].outcome if name != 'air' else player.calls[name].tries == 2
@@ -285,9 +288,8 @@ def test_what_may_still_wait_is_dropped_before_a_caller_is_told(name, heard, is_
 def test_only_a_stop_is_sent_before_all_is_read():
     player = Player()
     player.play(IN_STEP + 'call raw; call stop')
-    player.master.tick(player.now)
-    assert player.master.next(player.now, False) == FUNCTIONS['stop'][0]
-    assert player.master.next(player.now, False) is None
+    assert [packet.message for packet in player.sent] == [FUNCTIONS['stop'][0]]
+    assert player.master.due(player.now, False)[0] == []
 
 
 def test_a_fence_is_renewed_for_a_call_that_comes_later_and_each_nonce_is_new():
@@ -303,7 +305,7 @@ def test_the_outcome_has_the_data_the_stamp_and_the_round_trip():
     player.play('>+ air; +0.125; < AIR; air is done')
     outcome = player.calls['air'].outcome
     assert got == [outcome] and (outcome.data, outcome.round_trip) == (AIR, 0.125)
-    assert list(player.master.round_trips) == [0.125]
+    assert dict(player.master.values())['round trip max [ms]'] == '125.00'
 
 
 def test_a_board_that_does_not_echo_is_logged_once_with_the_parameter():
