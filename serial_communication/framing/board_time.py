@@ -6,8 +6,8 @@ only ever add, and the two clocks differ by a rate that hardly changes. So the l
 delayed least, and gives the time of all others.
 
 A damaged value that seems ahead would hold the line down until the window is over. So a point that
-is out of place is doubted: it is dropped, unless the next one is out of place by the same; the first
-one needs another one near its line.
+is out of place is doubted: it is dropped, unless the next one is out of place by the same. The
+first one needs another one near its line.
 
 Sources: E. Olson, "A Passive Solution to the Sensor Synchronization Problem", IROS 2010;
 ethz-asl/cuckoo_time_translator, whose ConvexHullOwt uses the edge in the middle.

@@ -3,15 +3,12 @@ import gc
 import json
 import os
 import signal
-import socket
 import sys
 import time
-from contextlib import suppress
 from functools import partial
 from typing import Any, Callable, Dict, Tuple
 
 import rospy
-from rospy.impl import tcpros_base
 from std_srvs.srv import SetBool, Trigger
 
 from serial_communication.srv import Release
@@ -137,13 +134,6 @@ def _release(link: Link, request: Any) -> str:
     return text
 
 
-def _accept_all_calls() -> None:
-    """Let all calls wait that come during a stall. rospy lets six wait, and the others' callers try
-    again seconds later, when a call looks new."""
-    with suppress(AttributeError, OSError):     # a private part of rospy; closed as the node ends
-        tcpros_base._tcpros_server.tcp_ros_server.server_sock.listen(socket.SOMAXCONN)
-
-
 class Bridge:
     """All links that have a port, with their diagnostics, transforms and serial_msg.
 
@@ -190,7 +180,6 @@ class Bridge:
             _offer(f'~{link.name}/reset', Trigger, partial(
                 lambda lending, _request: lending.reset(), link.lending))
         _offer('~stop', SetBool, self._stop_all)
-        _accept_all_calls()
 
     def _stop_all(self, request: Any) -> str:
         """The service ~stop."""

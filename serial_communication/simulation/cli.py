@@ -13,8 +13,8 @@ from ..boards.description import Description
 from ..output import no_more_output, prepare_output
 from ..transport.pace import Allowance
 from ..transport.port import Port
-from ..transport.urls import url_argument
 from . import faults
+from .arguments import url_argument
 from .board import Board, Runner
 from .custom_messages import add_options, announced_text
 from .own_pty import OwnPty

@@ -7,7 +7,7 @@ import argparse
 import math
 from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple
 
-from ..boards.config_file import board_parameters, read_parameters
+from .arguments import board_parameters, read_parameters
 from ..boards.description import Description
 from ..framing.layout import BOARD_TIME, FRACTIONS, NO_VALUE, Layout, Value
 from ..framing.rows import Kind, Row, Setting

@@ -1,6 +1,5 @@
 """URLs of ports, as pyserial has them: their parts, which are valid, and which name the same port.
 """
-import argparse
 import os
 import re
 from contextlib import suppress
@@ -37,15 +36,6 @@ def check_url(url: str) -> None:
                 return
         raise ValueError(f'{scheme}:// takes a host, a port and options of pyserial, as in '
                          f'{scheme}://192.168.1.5:4001')
-
-
-def url_argument(text: str) -> str:
-    """For argparse: a device or URL that pyserial may be able to open."""
-    try:
-        check_url(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
-    return text
 
 
 def identity(url: str) -> Optional[Hashable]:

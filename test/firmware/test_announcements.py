@@ -8,7 +8,7 @@ from board_ends import OK, car_end, error, master_end
 from emulated_board import FIRMWARE
 from board_rows import car_messages, car_settings, functions, mcu_messages
 from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.config_file import read_parameters
+from serial_communication.simulation.arguments import read_parameters
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.announcement import (TYPE, Assembly, Chunk,
                                                        read_announcement)

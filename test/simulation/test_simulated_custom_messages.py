@@ -11,7 +11,7 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.arduino.simulator import ModelCar
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.simulator import ControlBoard
-from serial_communication.boards.config_file import board_parameters, read_parameters
+from serial_communication.simulation.arguments import board_parameters, read_parameters
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard
 from serial_communication.framing.rows import Kind

@@ -1,7 +1,7 @@
 """Frames of serial_msg as the page shows them: text, bytes, and the field of each byte."""
 from typing import Any, Dict, Iterable, List, Tuple
 
-from ...boards.config_file import board_parameters
+from ...simulation.arguments import board_parameters
 from ...boards.description import Description
 from ...framing.layout import words
 from ..wire.fields import Explainer, Part

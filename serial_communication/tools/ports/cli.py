@@ -12,9 +12,9 @@ import threading
 from typing import Any, Dict, List, Optional
 
 from ...boards import BoardError, descriptions
-from ...boards.config_file import board_packages, board_parameters, read_parameters
+from ...simulation.arguments import (board_packages, board_parameters, read_parameters,
+                                     url_argument)
 from ...output import no_more_output, prepare_output
-from ...transport.urls import url_argument
 from . import devices
 from .devices import Device
 from .holders import holders_of

@@ -3,10 +3,10 @@ import argparse
 from typing import Any, Mapping, NamedTuple
 
 from ...boards import BOARDS, BoardError, description
-from ...boards.config_file import board_packages, board_parameters, read_parameters
+from ...simulation.arguments import (board_packages, board_parameters, read_parameters,
+                                     url_argument)
 from ...boards.description import Description
 from ...framing.stream import Decoder
-from ...transport.urls import url_argument
 from .show import WireError
 
 _MAX_BAUD = 10 ** 8

@@ -1,5 +1,17 @@
-"""Reads a file with parameters of the bridge, for programs without ROS."""
+"""What programs without ROS are given: ports, and a file with parameters of the bridge."""
+import argparse
 from typing import Any, Dict, List
+
+from ..transport.urls import check_url
+
+
+def url_argument(text: str) -> str:
+    """For argparse: a device or URL that pyserial may be able to open."""
+    try:
+        check_url(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f'{text}: {error}') from None
+    return text
 
 
 def read_parameters(path: str) -> Dict[str, Any]:
