@@ -9,7 +9,7 @@ import rosgraph
 from ...ros.master import ask
 
 _ASK_EVERY = 0.1                           # s
-_FIRST_REPORT, _REPORT_EVERY = 1.0, 10.0   # s of waiting
+_FIRST_REPORT, _REPORT_EVERY = 3.0, 10.0   # s of waiting
 
 
 def wait_for_master(stopping: threading.Event,
@@ -19,7 +19,7 @@ def wait_for_master(stopping: threading.Event,
 
     Args:
         stopping: ends the waiting when set.
-        say: called with a line of text after 1 s, then every 10 s.
+        say: called with a line of text after 3 s, then every 10 s.
     """
     uri, began = rosgraph.get_master_uri(), time.monotonic()
     due = began + _FIRST_REPORT
