@@ -7,8 +7,7 @@ from typing import Any, List
 import rospkg
 import yaml
 
-from ..ports.devices import devices
-from ..ports.holders import holders_of
+from ..ports.devices import devices, holders_of
 from ..watch.state import BridgeState
 from ..watch.table import LEVELS
 
@@ -22,7 +21,7 @@ def of_computer() -> str:
     """The versions, the system and the serial ports of this computer."""
     python = f'Python {platform.python_version()}'
     system = f'{_system()}, {platform.machine()}, Linux {platform.release()}'
-    ports = [f'{device.path}  {device.adapter} {device.usb_id}'.rstrip()
+    ports = [f'{device.path}  {device.adapter}'.rstrip()
              + ''.join(f', open in {holder}' for holder in holders_of(device.path))
              for device in devices()]
     return '\n'.join([', '.join([*map(_version, _PACKAGES), python]), system,

@@ -4,7 +4,7 @@ import time
 from typing import Any, Callable, Iterable, List, Mapping, NamedTuple, Optional
 
 from ...boards.description import Description
-from ...framing.stream import UNKNOWN, Decoder, Frame
+from ...framing.stream import UNKNOWN, Decoder
 from ...transport.port import Port, PortBusy, PortError
 
 USUAL = (9600, 57600, 38400, 19200, 230400, 460800, 921600, 500000, 250000, 1000000)    # baud
@@ -12,7 +12,6 @@ _STARTUP = 2.0    # s more for a silent port: opening it may have reset its boar
 _OTHER = 0.7      # s that is enough to recognise a board at another rate, at most
 _ANSWER = 0.3     # s for an answer
 _QUESTIONS = 3    # times that a question is asked
-_SAMPLE = 24      # bytes
 _FRAMES = 3       # the fewest valid frames by which a board is recognised
 
 
@@ -37,85 +36,65 @@ class Received(NamedTuple):
 
     board: str = ''                # '': none is recognised
     baud: Optional[int] = None     # at which its frames are valid
-    size: int = 0                  # bytes received at the first rate
-    sample: bytes = b''            # the first of them
+    data: bytes = b''              # at the first rate
     trouble: str = ''              # why the port cannot be listened to
 
     @property
     def kind(self) -> str:
         """'frames', 'noise' or 'nothing'."""
-        return 'frames' if self.board else 'noise' if self.size else 'nothing'
+        return 'frames' if self.board else 'noise' if self.data else 'nothing'
 
 
-class Listener:
-    """Listens to one port after another.
+def listen(url: str, candidates: List[Candidate], seconds: float, ask: bool) -> Received:
+    """What is received on a port. Nothing is written, but for questions to a silent one.
 
     Args:
         candidates: the boards to recognise.
-        seconds: s to listen to a port.
-        ask: whether boards that send only when they are asked are asked, on silent ports.
+        seconds: to listen, at each rate that a bridge would use.
+        ask: whether boards that send only when they are asked are asked.
     """
-
-    def __init__(self, candidates: Iterable[Candidate], seconds: float, ask: bool) -> None:
-        self._candidates = list(candidates)
-        self._seconds = seconds
-        self._ask = ask
-
-    def listen(self, url: str) -> Received:
-        """What is received on a port. Nothing is written, but for questions to a silent one."""
-        try:
-            return self._listen(url)
-        except PortError as error:
-            return Received(trouble=re.sub('; (waiting|`rosrun).*', '', str(error)))
-
-    def _listen(self, url: str) -> Received:
-        rates = list(dict.fromkeys(each.baud for each in self._candidates))
-        usual = [*(each.board.baud for each in self._candidates), *USUAL]
+    try:
+        rates = list(dict.fromkeys(each.baud for each in candidates))
         first = Received()
-        for index, baud in enumerate(dict.fromkeys([*rates, *usual])):
-            seconds = self._seconds if baud in rates else min(self._seconds, _OTHER)
-            heard = self._at(url, baud, seconds, wait=not index)
-            first = first if index else heard
+        for baud in dict.fromkeys([*rates, *(each.board.baud for each in candidates), *USUAL]):
+            is_first = baud == rates[0]
+            heard = _listen_at(url, baud, candidates, seconds if baud in rates else
+                               min(seconds, _OTHER), _STARTUP if is_first else 0.0)
+            first = heard if is_first else first
             if heard.board:
-                return heard._replace(size=first.size or heard.size)
-            if not first.size and baud == rates[-1]:
+                return heard
+            if not first.data and baud == rates[-1]:
                 break     # silent at every rate that a bridge would use
-        return first if first.size or not self._ask else self._asked(url) or first
+        if first.data or not ask:
+            return first
+        answers = (_answer(url, each) for each in candidates if each.board.question)
+        return next(filter(None, answers), first)
+    except PortError as error:
+        return Received(trouble=re.sub('; (waiting|`rosrun).*', '', str(error)))
 
-    def _at(self, url: str, baud: int, seconds: float, wait: bool) -> Received:
-        """Listen at one rate, until a board is recognised.
 
-        Args:
-            wait: listen longer if nothing is received.
-        """
-        heard, name, look_at = b'', '', 0
+def _listen_at(url: str, baud: int, candidates: List[Candidate], seconds: float,
+               more: float) -> Received:
+    """Listen at one rate, until a board is recognised; `more` seconds if nothing is received."""
+    heard, name, look_at = b'', '', 0
 
-        def received(data: bytes) -> bool:
-            nonlocal heard, name, look_at
-            heard += data
-            if len(heard) >= look_at:
-                name, look_at = recognised(self._candidates, heard), 2 * len(heard)
-            return bool(name)
+    def received(data: bytes) -> bool:
+        nonlocal heard, name, look_at
+        heard += data
+        if len(heard) >= look_at:
+            name, look_at = recognised(candidates, heard), 2 * len(heard)
+        return bool(name)
 
-        port = Port(url, baud)
-        try:
-            port.open()
-            _read(port, seconds, received)
-            if wait and not heard:
-                _read(port, _STARTUP, received)
-        finally:
-            port.close()
-        name = name or recognised(self._candidates, heard)
-        return Received(name, baud if name else None, len(heard), heard[:_SAMPLE])
-
-    def _asked(self, url: str) -> Optional[Received]:
-        """The board that answers its question; None: no board does."""
-        for each in self._candidates:
-            if each.board.question:
-                answer = _answer(url, each)
-                if answer:
-                    return Received(each.board.name, each.baud, len(answer), answer[:_SAMPLE])
-        return None
+    port = Port(url, baud)
+    try:
+        port.open()
+        _read(port, seconds, received)
+        if not heard:
+            _read(port, more, received)
+    finally:
+        port.close()
+    name = name or recognised(candidates, heard)
+    return Received(name, baud if name else None, heard)
 
 
 def recognised(candidates: Iterable[Candidate], data: bytes) -> str:
@@ -127,7 +106,7 @@ def recognised(candidates: Iterable[Candidate], data: bytes) -> str:
     name, most = '', 0
     for each in candidates:
         decoder = each.decoder()
-        frames: List[Frame] = decoder.feed(data)
+        frames = decoder.feed(data)
         while decoder.pending:
             frames += decoder.give_up()
         valid = [len(frame.raw) for frame in frames if frame.message is not None]
@@ -137,10 +116,9 @@ def recognised(candidates: Iterable[Candidate], data: bytes) -> str:
     return name
 
 
-def _answer(url: str, candidate: Candidate) -> bytes:
-    """The bytes with which a board answers its question; b'': it does not."""
-    decoder = candidate.decoder()
-    data = b''
+def _answer(url: str, candidate: Candidate) -> Optional[Received]:
+    """What a board answers to its question; None: nothing valid."""
+    decoder, data = candidate.decoder(), b''
 
     def received(more: bytes) -> bool:
         nonlocal data
@@ -156,10 +134,10 @@ def _answer(url: str, candidate: Candidate) -> bytes:
             except PortBusy:
                 pass
             if _read(port, _ANSWER, received):
-                return data
+                return Received(candidate.board.name, candidate.baud, data)
     finally:
         port.close()
-    return b''
+    return None
 
 
 def _read(port: Port, seconds: float, received: Callable[[bytes], bool]) -> bool:

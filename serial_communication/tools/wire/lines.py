@@ -1,15 +1,22 @@
-"""The settings of a serial line from the command line, and a decoder for each direction."""
+"""A serial line as the command line has it: its settings, its decoders, and what it announces."""
 import argparse
-from typing import Any, Mapping, NamedTuple
+import sys
+from typing import Any, Mapping, NamedTuple, Optional
 
 from ...boards import BOARDS, BoardError, find
 from ...boards.config_file import board_packages, board_parameters, read_parameters
-from ...boards.description import Description
+from ...boards.description import BAUD_RANGE, Description
+from ...framing.announcement import Assembly, Chunk, read_announcement
+from ...framing.rows import RowError
 from ...framing.stream import Decoder
+from ...output import no_more_output
 from ...transport.urls import url_argument
-from .show import WireError
 
-_MAX_BAUD = 10 ** 8
+
+class WireError(Exception):
+    """Ends the program; its text is one line for the user."""
+
+    status = 1     # exit status of the program
 
 
 class UsageError(WireError):
@@ -26,8 +33,8 @@ class Settings(NamedTuple):
     parameters: Mapping[str, Any] = {}       # the board's, as the bridge has them
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add LINK, and the options that change how its bytes are decoded."""
+def add_options(parser: argparse.ArgumentParser, with_port: bool = False) -> None:
+    """Add LINK and --config; and PORT with its baud rate."""
     parser.add_argument('link', metavar='LINK',
                         help='the protocol: ' + ', '.join(BOARDS) + ', a link of a board in '
                              '--config, or a package with a board')
@@ -35,20 +42,18 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                         help="the bridge's parameters, for its baud rates, its custom messages and "
                              'functions, and its boards of other packages')
     parser.set_defaults(baud=0)
-
-
-def add_port(parser: argparse.ArgumentParser) -> None:
-    """Add PORT, and its baud rate."""
-    parser.add_argument('port', metavar='PORT', type=url_argument,
-                        help='a device, or whatever pyserial opens')
-    parser.add_argument('--baud', type=_baud, default=0, metavar='N',
-                        help="(that of --config, or the board's default)")
+    if with_port:
+        parser.add_argument('port', metavar='PORT', type=url_argument,
+                            help='a device, or whatever pyserial opens')
+        parser.add_argument('--baud', type=_baud, default=0, metavar='N',
+                            help="(that of --config, or the board's default)")
 
 
 def _baud(text: str) -> int:
     value = int(text)
-    if not 0 < value <= _MAX_BAUD:
-        raise argparse.ArgumentTypeError(f'{text} baud is out of range (1 … {_MAX_BAUD})')
+    if not BAUD_RANGE[0] <= value <= BAUD_RANGE[1]:
+        raise argparse.ArgumentTypeError('{} baud is out of range ({} … {})'.format(
+            text, *BAUD_RANGE))
     return value
 
 
@@ -76,3 +81,32 @@ def settings(options: argparse.Namespace) -> Settings:
 def decoder(line: Settings, sent: bool) -> Decoder:
     """Return a decoder of what the board sends, or of what is `sent` to it."""
     return line.board.decoder(sent, line.parameters)
+
+
+def learn(line: Settings, assembly: Assembly, message: Any) -> Optional[Settings]:
+    """Take a message of the board; return the line with the rows that the board announces, once
+    they are whole."""
+    try:
+        text = assembly.add(message) if isinstance(message, Chunk) else None
+    except ValueError:      # too long
+        return None
+    if text is None:
+        return None
+    parameters = dict(line.parameters)
+    for name, row in read_announcement(text).rows.items():
+        group = line.board.group_of(row)
+        rows = {name: row, **(parameters.get(group.parameter) or {})}
+        try:
+            line.board.read(group.parameter, rows)
+            parameters[group.parameter] = rows
+        except RowError:
+            pass    # the bridge leaves it out, too
+    return line._replace(parameters=parameters)
+
+
+def note(text: str) -> None:
+    """Print a line on standard error; nothing where that cannot be written to."""
+    try:
+        print(text, file=sys.stderr, flush=True)
+    except OSError:
+        no_more_output(2)
