@@ -19,7 +19,7 @@ from ..watch.calls import node_argument
 from ..watch.master import wait_for_master
 from ..watch.state import BridgeState, ago
 from ..watch.table import Screen, lines, plain
-from ..watch.topics import NODE, SERIAL_MSG
+from ..watch.topics import NODE
 from ..watch.watcher import Watcher
 from . import report
 
@@ -39,8 +39,8 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='monitor', description='The live table of a running bridge. It sends nothing. '
         'Ctrl-C ends it.')
-    parser.add_argument('--node', type=node_argument, metavar='NAME',
-                        help=f"the bridge's name ({NODE})")
+    parser.add_argument('--node', type=node_argument, default=NODE, metavar='NAME',
+                        help="the bridge's name (%(default)s)")
     parser.add_argument('--once', action='store_true',
                         help='print one table and end; status 0 only if every link is OK')
     parser.add_argument('--report', action='store_true',
@@ -54,16 +54,13 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
 def _run(options: argparse.Namespace) -> int:
     if options.report:
         print(report.of_computer(), end='\n\n', flush=True)
-    bridge = BridgeState(options.node or NODE, rosgraph.get_master_uri())
+    bridge = BridgeState(options.node, rosgraph.get_master_uri())
     stopping = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stopping.set())
     patience = _PATIENCE if options.once else float('inf')
     if not wait_for_master(stopping, _complain, patience):
         return _failed(bridge.trouble(0.0)) if options.once else 0
-    others = '' if options.node else _other_bridges()
-    if others:
-        return _failed(others)
     rospy.init_node('monitor', anonymous=True, disable_signals=True)
     watcher = Watcher(bridge)
     watcher.start()
@@ -85,20 +82,6 @@ def _complain(text: str) -> None:
 def _failed(why: str) -> int:
     _complain(why)
     return 1
-
-
-def _other_bridges() -> str:
-    """Advice that lists other bridges if the default one is absent; '' if it runs, or none does."""
-    try:
-        publishers = rosgraph.Master('/monitor').getSystemState()[0]
-    except (OSError, rosgraph.MasterException):
-        return ''
-    # Every bridge offers serial_msg, in its namespace.
-    found = sorted({node for topic, nodes in publishers for node in nodes
-                    if topic.rpartition('/')[2] == SERIAL_MSG})
-    if not found or NODE in found:
-        return ''
-    return f'no bridge {NODE}; these run: ' + ', '.join(f'--node {node}' for node in found)
 
 
 def _show(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> int:

@@ -11,33 +11,22 @@ import json
 import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from typing import Dict, Iterator, List, NamedTuple, Optional
+from typing import Any, Dict, Iterator, List, Optional
 
 from ...boards import BoardError, descriptions
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...output import end_with_output, prepare_output
 from ...transport.urls import url_argument
+from ..wire import lines
+from ..wire.lines import Settings
 from . import devices
 from .devices import Device
-from .listening import Candidate, Received, listen
+from .listening import Received, listen
 
 _LONGEST = 120.0     # s to listen
 _SAMPLE = 24         # bytes that are shown
-
-_EXAMPLES = """\
-examples:
-  ports                              every serial port of this computer
-  ports --ask                        also find a bus board
-  ports /dev/ttyUSB0 socket://192.168.1.7:4001 --json
-"""
-
-
-class Found(NamedTuple):
-    """One port, and what was received there."""
-
-    device: Device
-    holders: List[str]
-    heard: Received
+_NONE = 'This computer has no serial port. Does the USB cable carry data? `dmesg | tail` shows ' \
+    'what was plugged in.'
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
@@ -49,7 +38,7 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog='ports', description=__doc__.partition('\n\n')[2], epilog=_EXAMPLES,
+        prog='ports', description=__doc__.partition('\n\n')[2],
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('ports', metavar='PORT', nargs='*', type=url_argument,
                         help='a device, or whatever pyserial opens (all serial ports of this '
@@ -65,7 +54,7 @@ def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
                              'other packages')
     options = parser.parse_args(arguments)
     try:
-        options.candidates = _candidates(options.config)
+        options.boards = _boards(options.config)
     except (OSError, BoardError, ValueError) as error:
         parser.error(f'{options.config}: {getattr(error, "strerror", None) or error}')
     return options
@@ -79,14 +68,15 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _candidates(config: str) -> List[Candidate]:
+def _boards(config: str) -> List[Settings]:
+    """The boards that may be on a port, as a configuration has them; ValueError for a mistake."""
     parameters = read_parameters(config) if config else {}
-    candidates = [Candidate(board, board_parameters(parameters, board.name))
-                  for board in descriptions(board_packages(parameters))]
-    for candidate in candidates:     # ValueError for a mistake in a parameter
-        candidate.decoder()
-        candidate.board.baud_of(candidate.parameters)
-    return candidates
+    boards = []
+    for board in descriptions(board_packages(parameters)):
+        own = board_parameters(parameters, board.name)
+        boards.append(Settings(board, board.baud_of(own), own))
+        lines.decoder(boards[-1], False)
+    return boards
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -98,63 +88,51 @@ def _run(options: argparse.Namespace) -> int:
         print('Listening ...', file=sys.stderr)
     with ThreadPoolExecutor(max(1, len(chosen))) as pool:
         ports = list(pool.map(lambda device: _look_at(device, options), chosen))
-    if options.json:
-        print(json.dumps(list(map(_as_object, ports)), indent=2))
-    elif ports:
-        print('\n\n'.join(_paragraphs(ports, options)))
-    else:
-        print('This computer has no serial port. Does the USB cable carry data? `dmesg | tail` '
-              'shows what was plugged in.')
+    print(json.dumps(ports, indent=2) if options.json else
+          '\n\n'.join(_paragraphs(ports, options)) if ports else _NONE)
     return 0
 
 
-def _look_at(device: Device, options: argparse.Namespace) -> Found:
+def _look_at(device: Device, options: argparse.Namespace) -> Dict[str, Any]:
+    """What is printed of a port."""
     holders = devices.holders_of(device.path)
     # A second reader would take bytes from the program that has a port open.
-    return Found(device, holders, Received(trouble='another program has it open') if holders else
-                 listen(device.path, options.candidates, options.seconds, options.ask))
-
-
-def _as_object(port: Found) -> Dict[str, object]:
-    device, heard = port.device, port.heard
-    return {'port': device.path, 'board': heard.board or None, 'heard': heard.kind,
-            'baud': heard.baud, 'held_by': ', '.join(port.holders) or None, 'name': device.name,
+    heard = Received(trouble='another program has it open') if holders else listen(
+        device.path, options.boards, options.seconds, options.ask)
+    words = heard.data[:_SAMPLE]
+    return {'port': device.path, 'board': heard.board or None, 'baud': heard.baud,
+            'heard': 'frames' if heard.board else 'noise' if heard.data else 'nothing',
+            'held_by': ', '.join(holders) or None, 'name': device.name,
             'by_id': device.by_id or None, 'by_path': device.by_path or None,
-            'adapter': device.adapter or None, 'trouble': heard.trouble or None}
+            'adapter': device.adapter or None, 'trouble': heard.trouble or None,
+            'access': devices.no_access(device.path) or None,
+            'bytes': f'{words.hex(" ")} {ascii(words)[1:]}' if words else None}
 
 
-def _paragraphs(ports: List[Found], options: argparse.Namespace) -> Iterator[str]:
-    boards = {each.board.name: each.board for each in options.candidates}
-    for device, holders, heard in ports:
-        if heard.board:
-            board = boards[heard.board]
-            words = board.name + f' ({board.title})' * bool(board.title) + (
-                f', at {heard.baud} baud' if heard.baud != board.baud else '')
-        elif heard.trouble:
-            words = f'not listened to: {heard.trouble}'
-        elif heard.data:
-            words = 'bytes of no known board, at no usual baud rate: ' \
-                f'{heard.data[:_SAMPLE].hex(" ")} {ascii(heard.data[:_SAMPLE])[1:]}'
+def _paragraphs(ports: List[Dict[str, Any]], options: argparse.Namespace) -> Iterator[str]:
+    titles = {each.board.name: each.board.title or 'no title' for each in options.boards}
+    found: Dict[str, Dict[str, Any]] = {}
+    for port in ports:
+        board = port['board']
+        if board:
+            words = f'{board} ({titles[board]}), at {port["baud"]} baud'
+        elif port['trouble']:
+            words = f'not listened to: {port["trouble"]}'
         else:
-            words = 'silent'
-        shared = ' (the same for every adapter of this kind: it has no serial number)'
-        lines = (('by-id', device.by_id and device.by_id + shared * (not device.serial)),
-                 ('by-path', device.by_path), ('adapter', device.adapter),
-                 ('open in', ', '.join(holders)), ('access', devices.no_access(device.path)))
-        yield '\n'.join([f'{device.path}  {words}', *(
-            f'    {name:<9}{text}' for name, text in lines if text)])
-    found = {port.heard.board: port for port in reversed(ports) if port.heard.board}
-    for name, first in found.items():
-        if sum(port.heard.board == name for port in ports) > 1:
-            yield f'note: {name} is on several ports; the first is taken: {first.device.name}'
-    kinds = {port.heard.kind for port in ports if not port.heard.trouble}
+            words = 'bytes of no known board, at no usual baud rate' if port['bytes'] else 'silent'
+        keys = ('by_id', 'by_path', 'adapter', 'held_by', 'access', 'bytes')[:6 - bool(board)]
+        yield '\n'.join([f'{port["port"]}  {words}', *(
+            f'    {key:<9}{port[key]}' for key in keys if port[key])])
+        if board and found.setdefault(board, port) is not port:
+            yield f'note: {board} is on several ports; the first is taken: {found[board]["name"]}'
+    kinds = {port['heard'] for port in ports if not port['trouble']}
     if 'nothing' in kinds and not options.ask:
         yield 'note: a bus board is silent until it is asked: run this again with --ask'
     if 'noise' in kinds and not options.config:
         yield 'note: a board that sends only custom messages is found with their configuration: ' \
             'run this again with --config FILE'
     yield '\n'.join(['Put into a configuration (bridge.launch config:=FILE):', *(
-        f'{name}: {{port: {port.device.name}, baud: {port.heard.baud}}}'
+        f'{name}: {{port: {port["name"]}, baud: {port["baud"]}}}'
         for name, port in sorted(found.items()))]) if found else 'No board was found.'
 
 

@@ -89,14 +89,18 @@ class Explainer:
             return _framed(raw, _MCU, {'TYPE': words}, layout, frames[0].message)
         if isinstance(decoder, (arduino.Decoder, arduino.BoardDecoder)):
             return self._cobs(raw, frames[0])
-        return _other(raw, frames[0])
+        return _other(raw, frames[0], self._size)
 
     def decode(self, data: bytes) -> List[Frame]:
         """The frames and noise in these bytes, of which nothing follows."""
-        self.decoder.reset()
-        frames: List[Frame] = self.decoder.feed(data)
-        while self.decoder.pending:
-            frames += self.decoder.give_up()
+        decoder = self.decoder
+        decoder.reset()
+        before = decoder.received
+        frames: List[Frame] = decoder.feed(data)
+        # Of an incomplete frame, as far as is known.
+        self._size = decoder.front - before + decoder.needed if decoder.begun and not frames else 0
+        while decoder.pending:
+            frames += decoder.give_up()
         return frames
 
     def _bus(self, raw: bytes, request: Any) -> List[Part]:
@@ -181,15 +185,15 @@ def _framed(raw: bytes, form: _Format, words: Mapping[str, Mapping[int, str]],
     return parts.take_rest('noise', 'bytes after the frame')
 
 
-def _other(raw: bytes, frame: Frame) -> List[Part]:
-    """The parts of a frame without a format here."""
+def _other(raw: bytes, frame: Frame, size: int) -> List[Part]:
+    """The parts of a frame without a format here; `size` is that of an incomplete one."""
     parts, layout = _Parts(raw), getattr(frame.message, 'LAYOUT', None)
     if isinstance(layout, Layout) and frame.data and frame.data in frame.raw:
         parts.take(frame.raw.index(frame.data), 'start')
         parts.take_data(len(frame.data), 'data', layout, frame.message)
         parts.take(len(frame.raw) - parts.at, 'end')
     else:
-        parts.take(len(frame.raw), 'frame', '' if frame.cause else frame.text, frame.error)
+        parts.take(size or len(frame.raw), 'frame', '' if frame.cause else frame.text, frame.error)
     return parts.take_rest('more', 'does not belong to the frame')
 
 

@@ -5,7 +5,7 @@ from typing import Any, Mapping, NamedTuple, Optional
 
 from ...boards import BOARDS, BoardError, find
 from ...boards.config_file import board_packages, board_parameters, read_parameters
-from ...boards.description import BAUD_RANGE, Description
+from ...boards.description import Description
 from ...framing.announcement import Assembly, Chunk, read_announcement
 from ...framing.rows import RowError
 from ...framing.stream import Decoder
@@ -41,40 +41,34 @@ def add_options(parser: argparse.ArgumentParser, with_port: bool = False) -> Non
     parser.add_argument('--config', default='', metavar='FILE',
                         help="the bridge's parameters, for its baud rates, its custom messages and "
                              'functions, and its boards of other packages')
-    parser.set_defaults(baud=0)
+    parser.set_defaults(baud=None)
     if with_port:
         parser.add_argument('port', metavar='PORT', type=url_argument,
                             help='a device, or whatever pyserial opens')
-        parser.add_argument('--baud', type=_baud, default=0, metavar='N',
+        parser.add_argument('--baud', type=int, metavar='N',
                             help="(that of --config, or the board's default)")
-
-
-def _baud(text: str) -> int:
-    value = int(text)
-    if not BAUD_RANGE[0] <= value <= BAUD_RANGE[1]:
-        raise argparse.ArgumentTypeError('{} baud is out of range ({} … {})'.format(
-            text, *BAUD_RANGE))
-    return value
 
 
 def settings(options: argparse.Namespace) -> Settings:
     """Return the settings from the command line.
 
     Raises:
-        UsageError: the link is unknown, or --config cannot be used.
+        UsageError: the link is unknown, or --config or --baud cannot be used.
     """
     try:
         parameters = read_parameters(options.config) if options.config else {}
         board = find(options.link, board_packages(parameters))
         own = board_parameters(parameters, board.name)
-        line = Settings(board, options.baud or board.baud_of(own), own)
+        if options.baud is not None:
+            own['baud'] = options.baud
+        line = Settings(board, board.baud_of(own), own)
         decoder(line, False)
     except BoardError as error:
         raise UsageError(f'there is no board {options.link}, only {", ".join(BOARDS)}; for a board '
                          'of another package give its package, or --config with the parameter '
                          f'`boards`: {error}') from None
     except (OSError, ValueError) as error:
-        raise UsageError(f'{options.config}: {error}') from None
+        raise UsageError(str(error)) from None
     return line
 
 
