@@ -109,7 +109,7 @@ needed_packages() {
 
 # install PACKAGE...
 install() {
-    local as_root=() package known=() lacking=()
+    local as_root=() package known=() lacking=() text
     if ((EUID)); then
         command -v sudo >/dev/null || fail "these packages are missing, and only root may install" \
             "them: $*; run this as root or as a user with sudo."
@@ -125,18 +125,14 @@ install() {
             lacking+=("$package")
         fi
     done
-    if ((${#lacking[@]})); then without "${lacking[@]}"; fi
+    if ((${#lacking[@]})); then
+        # shellcheck disable=SC1091
+        text="$(. /etc/os-release; echo "$PRETTY_NAME") has no package ${lacking[*]}"
+        [[ $text != *ros-core* && $text != *python3-serial* ]] || fail "$text; see doc/install.md"
+        say "$text; see doc/install.md. Going on without."
+    fi
     ((${#known[@]} == 0)) || "${as_root[@]}" install --no-install-recommends "${known[@]}" ||
         fail "apt-get could not install ${known[*]}; see above."
-}
-
-# without PACKAGE...: go on without packages that the system does not have, if the bridge can.
-without() {
-    local text
-    # shellcheck disable=SC1091
-    text="$(. /etc/os-release; echo "$PRETTY_NAME") has no package $*; see doc/install.md"
-    [[ $* != *ros-core* && $* != *python3-serial* ]] || fail "$text"
-    say "$text. Going on without."
 }
 
 build_if_changed() {
