@@ -5,6 +5,9 @@ command ends or is killed. If this program is killed, so is the command, and the
 port after a few seconds. {port} in the COMMAND is the device, and so this has to run on the
 machine of the bridge. Exit status: the command's, 128 and the number of the signal that ended it,
 127 if it cannot be started, 125 if the port is not lent, 2 for a wrong argument.
+
+  release arduino -- arduino-cli upload -p {port} -b arduino:avr:nano nano_car
+  release mcu -- esptool.py --port {port} write_flash 0x10000 firmware.bin
 """
 import argparse
 import ctypes
@@ -13,9 +16,8 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
-from typing import List, Optional
+from typing import Callable, List, Optional
 from urllib.parse import urlsplit
 
 import rosgraph
@@ -31,13 +33,6 @@ _NOT_LENT, _NOT_STARTED = 125, 127
 _LOAN, _RENEW = 5.0, 1.0    # s
 _TRIES, _AGAIN = 6, 0.2     # for longer than the bridge refuses calls after a stall; s
 _PR_SET_PDEATHSIG = 1
-
-_EXAMPLES = """\
-examples:
-  release arduino -- arduino-cli upload -p {port} -b arduino:avr:nano nano_car
-  release mcu -- esptool.py --port {port} write_flash 0x10000 firmware.bin
-  release arduino -- picocom -b 115200 {port}
-"""
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
@@ -55,36 +50,28 @@ def main(arguments: Optional[List[str]] = None) -> int:
                       ReleaseRequest(by, seconds), time.monotonic() + 2 * MOST_WAIT)
         return '' if answer.outcome is Verdict.DONE else answer.words
 
-    def renew() -> None:
-        while not ended.wait(_RENEW):
-            lend(_LOAN)
-
     try:
         device = _device(options.node, options.link)
+        why_not = lend(_LOAN)
+        for _ in range(_TRIES):
+            if why_not:
+                time.sleep(_AGAIN)
+                why_not = lend(_LOAN)
+        if why_not:
+            raise ValueError(why_not)
     except (OSError, ValueError, rosgraph.MasterException) as error:
         return _say(str(error), _NOT_LENT)
-    why_not = lend(_LOAN)
-    for _ in range(_TRIES):
-        if why_not:
-            time.sleep(_AGAIN)
-            why_not = lend(_LOAN)
-    if why_not:
-        return _say(why_not, _NOT_LENT)
-    ended = threading.Event()
-    renewing = threading.Thread(target=renew, daemon=True)
-    renewing.start()
     try:
-        return _run([word.replace('{port}', device) for word in options.command])
+        return _run([word.replace('{port}', device) for word in options.command],
+                    lambda: lend(_LOAN))
     finally:
-        ended.set()
-        renewing.join(_LOAN)
         lend(0.0)
 
 
 def _arguments(arguments: List[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='release', usage='release LINK [--node NAME] -- COMMAND …',
-        description=__doc__.partition('\n\n')[2], epilog=_EXAMPLES,
+        description=__doc__.partition('\n\n')[2],
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('link', metavar='LINK', help='arduino, mcu, bus, or of another board')
     parser.add_argument('--node', type=node_argument, default=NODE, metavar='NAME',
@@ -103,15 +90,14 @@ def _say(text: str, status: int) -> int:
 
 
 def _device(node: str, link: str) -> str:
-    """The device of a link's port, or its URL; ValueError, OSError if there is none here."""
+    """The device of a link's port, or its URL; ValueError if there is none here, OSError if the
+    master does not answer."""
     master = rosgraph.Master('/release')
     try:
         url = master.getParam(f'{node}/{link}/port')
         host = urlsplit(master.lookupNode(node)).hostname or ''
     except rosgraph.MasterException:
         raise ValueError(f'there is no bridge {node} with a port of {link}') from None
-    except OSError:
-        raise ValueError(f'no answer from the ROS master at {rosgraph.get_master_uri()}') from None
     if not url:
         raise ValueError(f'the link {link} is off: it has no port')
     device = serial.serial_for_url(url, do_not_open=True).port or url
@@ -120,25 +106,28 @@ def _device(node: str, link: str) -> str:
     return device
 
 
-def _run(command: List[str]) -> int:
+def _run(command: List[str], renew: Callable[[], object]) -> int:
     """Run a command that ends with this process and gets its signals; return the exit status."""
     prctl = ctypes.CDLL(None).prctl
-    process: Optional[subprocess.Popen] = None
-
-    def pass_on(number: int, _frame: object) -> None:
-        if process and (number != signal.SIGINT or not os.isatty(0)):  # a terminal sends it to both
-            process.send_signal(number)
-
-    for number in signal.SIGINT, signal.SIGTERM, signal.SIGHUP:
-        if signal.getsignal(number) != signal.SIG_IGN:      # nohup, or a background job
-            signal.signal(number, pass_on)
     try:
         process = subprocess.Popen(
             command, preexec_fn=lambda: prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0))
     except OSError as error:
         return _say(f'{command[0]} cannot be started: {error.strerror}', _NOT_STARTED)
-    status = process.wait()
-    return status if status >= 0 else 128 - status
+
+    def pass_on(number: int, _frame: object) -> None:
+        if number != signal.SIGINT or not os.isatty(0):     # a terminal sends it to both
+            process.send_signal(number)
+
+    for number in signal.SIGINT, signal.SIGTERM, signal.SIGHUP:
+        if signal.getsignal(number) != signal.SIG_IGN:      # nohup, or a background job
+            signal.signal(number, pass_on)
+    while True:
+        try:
+            status = process.wait(_RENEW)
+            return status if status >= 0 else 128 - status
+        except subprocess.TimeoutExpired:
+            renew()
 
 
 if __name__ == '__main__':

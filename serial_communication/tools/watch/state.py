@@ -6,7 +6,7 @@ import re
 from collections import deque
 from typing import Any, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
-from .topics import NODE, BridgeTopic, boards_of, in_order, in_table_order
+from .topics import NODE, BridgeTopic, boards_of, in_order
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3      # as diagnostic_msgs/DiagnosticStatus has them
 
@@ -126,7 +126,7 @@ class BridgeState:
         """Replace the topics by these. A topic in both keeps its state."""
         old = {(each.topic.name, each.topic.type): each for each in self.topics}
         new = []
-        for topic in in_table_order(topics):
+        for topic in topics:
             new.append(old.get((topic.name, topic.type)) or TopicState(topic))
             new[-1].topic = topic
         self.topics = new

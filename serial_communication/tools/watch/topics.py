@@ -154,20 +154,14 @@ def published_topics(node: str, published: Dict[str, str], parameters: Any,
     names = {relative(full_name, node): type_ for full_name, type_ in published.items()
              if full_name not in ('/rosout', '/clock')
              and not relative(full_name, node).startswith(_SETTINGS)}
-    return in_table_order(topics.get(name, BridgeTopic(name, type_))._replace(type=type_)
-                          for name, type_ in names.items())
+    return [topics.get(name, BridgeTopic(name, names[name]))._replace(type=names[name])
+            for name in in_order(names, TABLE)]
 
 
-def in_table_order(topics: Iterable[BridgeTopic]) -> List[BridgeTopic]:
-    """Sort topics for display: those in `TABLE` in its order, then the others by name."""
-    given = {topic.name: topic for topic in topics}
-    return [given[name] for name in (*TABLE, *sorted(set(given) - set(TABLE))) if name in given]
-
-
-def in_order(links: Iterable[str]) -> List[str]:
-    """Sort names of links for display: those of this package first, then the others by name."""
-    given = set(links)
-    return [name for name in (*LINKS, *sorted(given - set(LINKS))) if name in given]
+def in_order(names: Iterable[str], first: Iterable[str] = LINKS) -> List[str]:
+    """Sort names for display: those in `first` in its order, then the others by name."""
+    given = set(names)
+    return [name for name in dict.fromkeys([*first, *sorted(given)]) if name in given]
 
 
 def expected_links(parameters: Dict[str, Any]) -> List[str]:

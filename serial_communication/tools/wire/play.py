@@ -64,25 +64,21 @@ def run(options: argparse.Namespace) -> int:
 
 
 def from_bag(path: str, link: str) -> Recorded:
-    """Return what the board of a link sent, from a bag.
-
-    Raises:
-        WireError: the bag cannot be read, or has no topic or several of that type.
-    """
+    """Return what the board of a link sent, from a bag; WireError if the bag cannot be read."""
     try:
         import rosbag
         with rosbag.Bag(path) as bag:
             topics = [name for name, topic in bag.get_type_and_topic_info().topics.items()
                       if topic.msg_type == _TYPE]
-            if len(topics) == 1:
-                return [(message.header.stamp.to_sec(), bytes(message.frame))
-                        for _, message, _ in bag.read_messages(topics)
-                        if message.link == link and message.direction == _RX]
+            if len(topics) > 1:
+                raise ValueError(f'it has frames of several bridges, {", ".join(topics)}: rosbag '
+                                 'filter selects one')
+            return [(message.header.stamp.to_sec(), bytes(message.frame))
+                    for _, message, _ in bag.read_messages(topics)
+                    if message.link == link and message.direction == _RX] if topics else []
     except Exception as error:  # pylint: disable=broad-except
         # rosbag raises anything for a damaged bag; ImportError: ROS is not sourced.
         raise WireError(f'{path}: cannot be read: {error!r}'.splitlines()[0]) from None
-    raise WireError(f'{path}: has {len(topics)} topics with frames, not one: {", ".join(topics)}; '
-                    'rosbag record /serial_msg records one, rosbag filter selects one')
 
 
 def printed(path: str) -> Recorded:
