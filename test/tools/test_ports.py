@@ -1,5 +1,4 @@
 """The program `ports`, on pseudo terminals with simple boards: what it finds."""
-import itertools
 import json
 import os
 import pty
@@ -15,7 +14,6 @@ import pytest
 import yaml
 
 import crane_scale
-from serial_communication.boards import description
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
@@ -38,14 +36,13 @@ class Board:
     """The other end of a port: sends `data` all the time, or answers SYNC.
 
     Args:
-        each: sent in turn, in place of `data`.
         baud: the rate at which it sends; at another one the port receives noise.
     """
 
-    def __init__(self, path, data=b'', baud=115200, answers=False, each=()):
+    def __init__(self, path, data=b'', baud=115200, answers=False):
         self.path = str(path)
         self.received = b''
-        self._turns = itertools.cycle(each or [data])
+        self._data = data
         self._speed = getattr(termios, f'B{baud}')
         self._answers = answers
         self._fd, slave = pty.openpty()
@@ -69,7 +66,7 @@ class Board:
             except OSError:     # nothing to read, or nobody has the port open
                 request = b''
             self.received += request
-            data = next(self._turns)
+            data = self._data
             if self._answers and request == SYNC:
                 data = bus.encode_reply(bus.Reply(bus.SYNC))
             if data and termios.tcgetattr(self._fd)[5] != self._speed:
@@ -101,11 +98,6 @@ def run(*arguments):
                               [HERE, os.environ.get('PYTHONPATH', '')])}, timeout=100)
 
 
-def to_paste(text):
-    """The configuration that the last lines are."""
-    return yaml.safe_load(text.partition('\nPut into a configuration (')[2].partition('\n')[2])
-
-
 def found(*arguments):
     """The objects that it prints with --json, by the name of the port."""
     done = run('--json', *arguments)
@@ -113,18 +105,19 @@ def found(*arguments):
     return {os.path.basename(each['port']): each for each in json.loads(done.stdout)}
 
 
-def test_boards_are_found_and_nothing_is_written(board, tmp_path):
-    boards = [board('one', MCU), board('two', CAR), board('three', answers=True),
+def test_boards_are_found_at_any_usual_rate_and_nothing_is_written(board, tmp_path):
+    boards = [board('one', MCU, baud=57600), board('two', CAR), board('three', answers=True),
               board('four', b'boot: ok\r\n')]
     done = run(*(each.path for each in boards), tmp_path / 'absent')
     assert [each.received for each in boards] == [b''] * 4
-    assert f'{boards[0].path}  mcu (sensor board), at 115200 baud\n' in done.stdout
+    assert f'{boards[0].path}  mcu (sensor board), at 57600 baud\n' in done.stdout
     assert f'{boards[2].path}  silent\n' in done.stdout
     assert f'{boards[3].path}  bytes of no known board, at no usual baud rate' in done.stdout
     assert "'boot: ok" in done.stdout and 'there is no such device' in done.stdout
-    assert '--ask' in done.stdout
-    assert to_paste(done.stdout) == {'arduino': {'port': boards[1].path, 'baud': 115200},
-                                     'mcu': {'port': boards[0].path, 'baud': 115200}}
+    assert '--ask' in done.stdout and '--config' in done.stdout
+    last = done.stdout.partition('\nPut into a configuration (')[2].partition('\n')[2]
+    assert yaml.safe_load(last) == {'arduino': {'port': boards[1].path, 'baud': 115200},
+                                    'mcu': {'port': boards[0].path, 'baud': 57600}}
 
 
 def test_only_silent_ports_are_asked_and_only_for_a_sync(board, tmp_path):
@@ -141,33 +134,17 @@ def test_only_silent_ports_are_asked_and_only_for_a_sync(board, tmp_path):
     assert [each.received for each in boards] == [b'', SYNC, b'', SYNC * 3]
 
 
-@pytest.mark.parametrize('data, name, baud, configured', [
-    (MCU, 'mcu', 57600, ''), (CAR, 'arduino', 2400, '2400'), (CAR, 'arduino', 115200, '2400'),
-    (b'', 'bus', 2400, '2400')])
-def test_another_baud_rate_is_found(board, tmp_path, data, name, baud, configured):
-    """A usual one, or one that only the configuration has; likewise if a board is asked."""
+def test_a_configuration_adds_boards_messages_and_rates(board, tmp_path):
     config = tmp_path / 'base.yaml'
-    config.write_text(f'{name}: {{baud: {configured}}}' if configured else '{}')
-    path = board('port', data, baud=baud, answers=not data).path
-    text = run('--config', config, '--ask', path).stdout
-    assert f'{name} ({description(name).title}), at {baud} baud' in text
-    assert to_paste(text) == {name: {'port': path, 'baud': baud}}
-
-
-def test_a_board_of_another_package_is_found(board, tmp_path):
-    config = tmp_path / 'base.yaml'
-    config.write_text('boards: [crane_scale]\n')
-    path = board('port', SCALE, baud=9600).path
-    assert to_paste(run('--config', config, path).stdout) == {'scale': {'port': path, 'baud': 9600}}
-
-
-def test_custom_messages_alone_are_enough_to_find_a_board(board, tmp_path):
-    config = tmp_path / 'base.yaml'
-    config.write_text('arduino: {messages: {force: {type: 32, ros_type: std_msgs/Float32, '
-                      'layout: "<h", fields: [data]}}}')
-    path = board('port', arduino.encode_raw(32, b'\1\2')).path
-    assert '--config' in run(path).stdout
-    assert 'arduino' in to_paste(run('--config', config, path).stdout)
+    config.write_text('boards: [crane_scale]\nbus: {baud: 2400}\narduino: {baud: 2400, messages: '
+                      '{force: {type: 32, ros_type: a/B, layout: "<h", fields: [data]}}}\n')
+    paths = [board('scale', SCALE, baud=9600).path, board('slow', CAR, baud=2400).path,
+             board('usual', CAR).path, board('bus', baud=2400, answers=True).path,
+             board('own', arduino.encode_raw(32, b'\1\2'), baud=2400).path]
+    ports = found('--config', config, '--ask', *paths)
+    assert {name: (port['board'], port['baud']) for name, port in ports.items()} == {
+        'scale': ('scale', 9600), 'slow': ('arduino', 2400), 'usual': ('arduino', 115200),
+        'bus': ('bus', 2400), 'own': ('arduino', 2400)}
 
 
 _READER = '''

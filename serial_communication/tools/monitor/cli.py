@@ -59,7 +59,7 @@ def _run(options: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: stopping.set())
     patience = _PATIENCE if options.once else float('inf')
-    if not wait_for_master(stopping, _complain, patience):
+    if not wait_for_master(stopping, _failed, patience):
         return _failed(bridge.trouble(0.0)) if options.once else 0
     rospy.init_node('monitor', anonymous=True, disable_signals=True)
     watcher = Watcher(bridge)
@@ -75,12 +75,8 @@ def _run(options: argparse.Namespace) -> int:
         rospy.signal_shutdown('it ends')
 
 
-def _complain(text: str) -> None:
-    print(f'monitor: {text}', file=sys.stderr)
-
-
 def _failed(why: str) -> int:
-    _complain(why)
+    print(f'monitor: {why}', file=sys.stderr)
     return 1
 
 

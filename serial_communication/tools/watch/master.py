@@ -13,7 +13,7 @@ _FIRST_REPORT, _REPORT_EVERY = 3.0, 10.0   # s of waiting
 
 
 def wait_for_master(stopping: threading.Event,
-                    say: Callable[[str], None] = lambda _text: None,
+                    say: Callable[[str], object],
                     patience: float = float('inf')) -> bool:
     """Wait for a ROS master, for `patience` s at most; return whether one answers.
 

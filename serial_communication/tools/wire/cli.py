@@ -12,14 +12,11 @@ from .lines import WireError, note
 PROGRAMS = {'explain': explain, 'listen': listen, 'play': play}
 
 _DESCRIPTION = """\
-What is on a serial line, in bytes and in words.
+What is on a serial line, in bytes and in words. Each program below has a --help.
 
-  explain bytes                        wire explain arduino 03 08 02 00
-  show what a board sends              wire listen mcu /dev/ttyUSB0
-  play a recording to a bridge         wire play drive.bag mcu /tmp/board
-
-wire stands for  rosrun serial_communication wire , or scripts/wire in a checkout. Each program
-below has a --help.
+  wire explain arduino 03 08 02 00
+  wire listen mcu /dev/ttyUSB0
+  wire play drive.bag mcu /tmp/board
 """
 
 
