@@ -12,7 +12,6 @@ from typing import Callable, Dict
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
-from std_msgs.msg import String
 
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
@@ -57,19 +56,13 @@ def _call(is_simulated: Callable[[str], bool]) -> None:
 
 
 def _drive(is_simulated: Callable[[str], bool]) -> None:
-    """Drive in gentle curves, and blink."""
+    """Drive in gentle curves."""
     speed = rospy.Publisher(NODE + '/speed', SpeedPWMCommand, queue_size=1)
     steering = rospy.Publisher(NODE + '/steering', SteeringPWMCommand, queue_size=1)
-    led = rospy.Publisher(NODE + '/led', String, queue_size=1)
-    began, shown = time.monotonic(), ''
+    began = time.monotonic()
     while not rospy.is_shutdown():
         if is_simulated('arduino'):
             driven = time.monotonic() - began
-            curve = math.sin(driven * 2 * math.pi / 20)
             speed.publish(value=round(300 + 100 * math.sin(driven / 4)))
-            steering.publish(value=round(1500 + 200 * curve))
-            light = 'left' if curve < -0.5 else 'right' if curve > 0.5 else 'disable'
-            if light != shown:
-                led.publish(light)
-                shown = light
+            steering.publish(value=round(1500 + 200 * math.sin(driven * 2 * math.pi / 20)))
         time.sleep(_COMMAND_EVERY)

@@ -84,6 +84,7 @@ def _show(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> i
     """Show the table again and again, and what a user who looks away has missed."""
     screen = Screen() if sys.stdout.isatty() else None
     reported_at = bridge.reported_at()
+    stopping.wait(_PERIOD)      # else the first table has nothing yet
     while not stopping.is_set():
         now = time.monotonic()
         watcher.update(now)

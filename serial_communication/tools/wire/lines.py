@@ -9,7 +9,6 @@ from ...boards.description import Description
 from ...framing.announcement import Assembly, Chunk, read_announcement
 from ...framing.rows import RowError
 from ...framing.stream import Decoder
-from ...output import no_more_output
 from ...transport.urls import url_argument
 
 
@@ -99,8 +98,5 @@ def learn(line: Settings, assembly: Assembly, message: Any) -> Optional[Settings
 
 
 def note(text: str) -> None:
-    """Print a line on standard error; nothing where that cannot be written to."""
-    try:
-        print(text, file=sys.stderr, flush=True)
-    except OSError:
-        no_more_output(2)
+    """Print a line on standard error."""
+    print(text, file=sys.stderr)
