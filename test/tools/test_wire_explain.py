@@ -14,7 +14,6 @@ from wire_lines import ARDUINO, BUS, FRAMES, LINKS, MCU, damaged_stream, setting
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.simulation.announcing import chunks_of
 from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NotHex
 from serial_communication.tools.wire.fields import Explainer
@@ -148,16 +147,6 @@ def test_a_reply_is_explained_by_the_request_before_it():
     assert value_of(found[1], 'smoke') == 350
     found = explain.explain(hexed('a50255200064b6 a506025e01030acc1229'), settings('bus'))
     assert [part.name for part in found[1].parts][3:-1] == ['DATE']
-
-
-def test_announced_messages_are_known_in_all_of_the_bytes():
-    text = b'force: {type: 32, ros_type: any/Type, layout: "<h", fields: [data], scale: 0.01}\n' \
-        b'wrong: {typ: 5}\n'
-    message = arduino.encode_raw(32, (1234).to_bytes(2, 'little'))
-    chunks = b''.join(map(arduino.encode, chunks_of(text, 20)))
-    found = explain.explain(message + chunks, settings('arduino'))
-    assert value_of(found[0], 'data') == 12.34 and not found[0].trouble
-    assert explain.explain(message + chunks[:-1], settings('arduino'))[0].trouble
 
 
 # -- the parts of any bytes -----------------------------------------------------------------------

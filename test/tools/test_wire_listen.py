@@ -11,13 +11,10 @@ from lines import ROOT, Pty
 from programs import started
 from waiting import PATIENCE, until
 
-from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.simulation.announcing import chunks_of
 
 pytestmark = pytest.mark.slow
 PROGRAM = [sys.executable, ROOT + '/scripts/wire']
-FORCE = b'force: {type: 32, ros_type: any/Type, layout: "<h", fields: [data], scale: 0.01}\n'
 
 
 class Listen:
@@ -86,16 +83,6 @@ def test_listen_waits_for_a_port_and_opens_it_again(tmp_path, start):
         board.unplug()
         program.until_said('the device has gone', count)
     assert program.end(signal.SIGTERM) == 0
-
-
-def test_listen_learns_the_messages_that_the_board_announces(board, start):
-    program = start('arduino', board.path)
-    program.until_said('open')
-    chunks, message = chunks_of(FORCE, 60), arduino.encode_raw(32, (1234).to_bytes(2, 'little'))
-    *_, before = program.shown(board, b'\0' + message, 1)
-    program.shown(board, b''.join(map(arduino.encode, chunks)), 1 + len(chunks))
-    *_, after = program.shown(board, message, 2 + len(chunks))
-    assert 'unknown' in before and after.endswith('force data=12.34')
 
 
 def run(*arguments):

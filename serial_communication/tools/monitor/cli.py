@@ -17,7 +17,7 @@ import rospy
 from ...output import end_with_output, prepare_output
 from ..watch.calls import node_argument
 from ..watch.master import wait_for_master
-from ..watch.state import BridgeState, ago
+from ..watch.state import BridgeState
 from ..watch.table import Screen, lines, plain
 from ..watch.topics import NODE
 from ..watch.watcher import Watcher
@@ -81,21 +81,16 @@ def _failed(why: str) -> int:
 
 
 def _show(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> int:
-    """Show the table again and again, and what a user who looks away has missed."""
+    """Show the table again and again."""
     screen = Screen() if sys.stdout.isatty() else None
-    reported_at = bridge.reported_at()
     stopping.wait(_PERIOD)      # else the first table has nothing yet
     while not stopping.is_set():
         now = time.monotonic()
         watcher.update(now)
-        before, reported_at = reported_at, bridge.reported_at()
-        if not screen:
-            print(plain(bridge, now), end='\n\n')
-        else:
-            if before and reported_at and reported_at - before > 3 * _PERIOD:
-                screen.say(f'{time.strftime("%H:%M:%S")} the bridge is back, after '
-                           f'{ago(reported_at - before)}')
+        if screen:
             screen.show(lines(bridge, now))
+        else:
+            print(plain(bridge, now), end='\n\n')
         stopping.wait(_PERIOD if screen else _PLAIN_PERIOD)
     return 0
 

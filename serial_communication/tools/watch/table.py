@@ -89,8 +89,3 @@ class Screen:
             text += f'\033[2K{colour}{words}{chr(27) + "[0m" if colour else ""}\n'
         print(text + '\033[J', end='', flush=True)
         self._height = len(table)
-
-    def say(self, text: str) -> None:
-        """Print a line above the table."""
-        print(f'\033[{self._height}F' * bool(self._height) + '\033[J' + text)
-        self._height = 0

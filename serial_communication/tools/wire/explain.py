@@ -17,7 +17,6 @@ import re
 import sys
 from typing import Any, Iterator, List, NamedTuple, Optional, Tuple
 
-from ...framing.announcement import Assembly
 from ...framing.layout import words
 from ...framing.stream import FRAMING, Frame
 from . import lines
@@ -91,24 +90,16 @@ def explain(data: bytes, line: Settings, sent: Optional[bool] = None) -> List[Ex
 
     Args:
         sent: whether `data` was sent to the board; None: decided for each frame.
-
-    What the board announces in `data` is known everywhere in it.
     """
-    found = list(_explain(data, line, sent))
-    assembly, learned = Assembly(), line
-    for each in found:
-        learned = lines.learn(line, assembly, each.frame.message) or learned
-    return found if learned is line else list(_explain(data, learned, sent))
-
-
-def _explain(data: bytes, line: Settings, sent: Optional[bool]) -> Iterator[Explained]:
     explainers = {sender: Explainer(line, sender)
                   for sender in ((False, True) if sent is None else (sent,))}
+    found: List[Explained] = []
     request: Any = None
     for sender, frame in _frames(data, explainers):
         # A reply is explained with the request before it, which defines the reply's DATE.
-        yield Explained(sender, frame, explainers[sender].parts(frame.raw, request))
+        found.append(Explained(sender, frame, explainers[sender].parts(frame.raw, request)))
         request = frame.message if sender else None
+    return found
 
 
 def _frames(data: bytes, explainers: Any) -> Iterator[Tuple[bool, Frame]]:

@@ -1,13 +1,11 @@
-"""A serial line as the command line has it: its settings, its decoders, and what it announces."""
+"""A serial line as the command line has it: its settings, and a decoder for each direction."""
 import argparse
 import sys
-from typing import Any, Mapping, NamedTuple, Optional
+from typing import Any, Mapping, NamedTuple
 
 from ...boards import BOARDS, BoardError, find
 from ...boards.config_file import board_packages, board_parameters, read_parameters
 from ...boards.description import Description
-from ...framing.announcement import Assembly, Chunk, read_announcement
-from ...framing.rows import RowError
 from ...framing.stream import Decoder
 from ...transport.urls import url_argument
 
@@ -74,27 +72,6 @@ def settings(options: argparse.Namespace) -> Settings:
 def decoder(line: Settings, sent: bool) -> Decoder:
     """Return a decoder of what the board sends, or of what is `sent` to it."""
     return line.board.decoder(sent, line.parameters)
-
-
-def learn(line: Settings, assembly: Assembly, message: Any) -> Optional[Settings]:
-    """Take a message of the board; return the line with the rows that the board announces, once
-    they are whole."""
-    try:
-        text = assembly.add(message) if isinstance(message, Chunk) else None
-    except ValueError:      # too long
-        return None
-    if text is None:
-        return None
-    parameters = dict(line.parameters)
-    for name, row in read_announcement(text).rows.items():
-        group = line.board.group_of(row)
-        rows = {name: row, **(parameters.get(group.parameter) or {})}
-        try:
-            line.board.read(group.parameter, rows)
-            parameters[group.parameter] = rows
-        except RowError:
-            pass    # the bridge leaves it out, too
-    return line._replace(parameters=parameters)
 
 
 def note(text: str) -> None:

@@ -17,7 +17,6 @@ import time
 from datetime import datetime
 from typing import Optional
 
-from ...framing.announcement import Assembly
 from ...framing.stream import Frame, FrameTimer
 from ...transport.port import Port, PortError
 from . import lines
@@ -70,7 +69,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _listen(port: Port, line: Settings, printer: '_Printer') -> None:
     """Print frames until the port vanishes; PortError then."""
-    decoder, assembly = lines.decoder(line, False), Assembly()
+    decoder = lines.decoder(line, False)
     timer = FrameTimer(decoder, _FRAME_TIMEOUT, line.baud)
     now = last_byte = time.monotonic()
     while True:
@@ -81,9 +80,6 @@ def _listen(port: Port, line: Settings, printer: '_Printer') -> None:
         frames = decoder.feed(data, now) if data else []
         for frame in frames + timer.overdue(last_byte, now):
             printer.show(frame)
-            learned = lines.learn(line, assembly, frame.message)
-            if learned:
-                decoder.messages = lines.decoder(learned, False).messages
 
 
 class _Printer:
