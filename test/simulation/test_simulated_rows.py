@@ -1,6 +1,7 @@
 """Rows that simulated boards play, answer, announce and set."""
 import argparse
 import os
+import struct
 
 import pytest
 from board_rows import car_messages, functions
@@ -16,7 +17,7 @@ from serial_communication.boards.config_file import board_parameters, read_param
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard
 from serial_communication.framing.announcement import Assembly, Chunk, read_announcement
-from serial_communication.framing.rows import Kind, SettingMessage, message_of
+from serial_communication.framing.rows import Kind
 from serial_communication.simulation.announcing import chunks_of
 from serial_communication.simulation.custom_messages import (Configured, add_options,
                                                              announced_text, simulated_values)
@@ -182,6 +183,7 @@ def test_rows_that_are_too_many_or_too_long_cannot_be_announced():
 # -- settings -------------------------------------------------------------------------------------
 
 
+SETTING = 253     # their type on the wire
 ROWS = {'kp': {'setting': 1, 'layout': '<f', 'minimum': 0.5, 'maximum': 10},
         'ramp': {'setting': 7, 'layout': '<H', 'unit': 'ms'}}
 
@@ -191,20 +193,23 @@ def tuned(board, rows=ROWS, announces=False):
     described = description(board.NAME)
     config = Configured(described, {'settings': rows})
     text = announced_text(board.NAME, config) if announces else None
-    bench = Bench(board(settings=config.settings, announcement=text),
-                  described.decoder(False, {'settings': rows}))
-    bench.kind = message_of(config.settings)
-    return bench
+    return Bench(board(settings=config.settings, announcement=text),
+                 described.decoder(False, {'settings': rows}))
+
+
+def reported(bench):
+    """The settings that the board has sent since the last call."""
+    return [tuple(message) for message in bench.messages() if message.TYPE == SETTING]
 
 
 def set_to(bench, number, value):
     """Set a setting; return the settings that the board sends within 50 ms."""
-    message = bench.kind(number, value)
+    data = bytes((number,)) + struct.pack('<f', value)
     bench.output()
-    bench.feed(b'\0' + arduino.encode(message) if isinstance(bench.board, ModelCar)
-               else mcu.encode(message, 3))
+    bench.feed(b'\0' + arduino.encode_raw(SETTING, data) if isinstance(bench.board, ModelCar)
+               else mcu.encode_raw(SETTING, 3, data))
     bench.run(0.05)
-    return bench.messages(SettingMessage)
+    return reported(bench)
 
 
 @both
@@ -212,14 +217,13 @@ def test_all_settings_are_reported_in_turn_with_the_announcement(board):
     bench, assembly = tuned(board, announces=True), Assembly()
     bench.run(0.45)
     found = bench.messages()
-    assert [message for message in found if isinstance(message, SettingMessage)][:4] == [
-        (1, 0.5), (7, 0)] * 2
+    assert [tuple(each) for each in found if each.TYPE == SETTING][:4] == [(1, 0.5), (7, 0)] * 2
     bench.run(5)
     found += bench.messages()
     texts = [assembly.add(message) for message in found if isinstance(message, Chunk)]
     assert [read_announcement(text).rows for text in texts if text] == [ROWS]
     bench.run(10)
-    assert 9 <= len(bench.messages(SettingMessage)) <= 11
+    assert 9 <= len(reported(bench)) <= 11
 
 
 @both
@@ -228,16 +232,16 @@ def test_a_setting_is_answered_with_the_value_in_use_until_a_reset(board):
     bench.run(5)
     for value, used in ((99.0, 10.0), (0.0, 0.5), (2.5, 2.5)):
         assert (1, used) in set_to(bench, 1, value)
-    assert 9 not in [number for number, _ in set_to(bench, 9, (1, 2))]
+    assert 9 not in [number for number, _ in set_to(bench, 9, 1.0)]
     bench.board.power_off(bench.now)
     bench.board.power_on(bench.now)
     bench.output()
     bench.run(0.25)
-    assert set(bench.messages(SettingMessage)) == {(1, 0.5), (7, 0)}
+    assert set(reported(bench)) == {(1, 0.5), (7, 0)}
 
 
 @both
 def test_a_board_without_settings_sends_none(board):
     bench = tuned(board, rows={})
     bench.run(5)
-    assert bench.messages(SettingMessage) == [] and set_to(bench, 1, (1, 2, 3, 4)) == []
+    assert reported(bench) == [] and set_to(bench, 1, 1.0) == []

@@ -168,6 +168,7 @@ def test_a_link_of_the_bridge_opens_it_again_and_again(tmp_path):
         for distance in 10, 20:
             bridge = BusLink(Port(link))
             bridge.start()
-            until(lambda: bridge.request(bus.lift(0, distance)).success, 'SYNC, and a move')
+            until(lambda: bridge.request(
+                bus.LIFT_FUNCTION.make_request((0, distance))).success, 'SYNC, and a move')
             bridge.stop()
             bridge.join(PATIENCE)
