@@ -34,8 +34,7 @@ class TopicState:
         self.topic = topic
         self.count = 0
         self.rate: Optional[float] = None     # Hz; None: not known yet
-        self.message: Any = None              # the latest at the last `Watcher.update`
-        self.words = ''                       # that message as text
+        self.words = ''                       # the latest message at the last `Watcher.update`
         self.last_at: Optional[float] = None
         self._measured_period: Optional[float] = None    # s
         self._counted: Deque[Tuple[float, int]] = deque()

@@ -57,18 +57,17 @@ class Watcher:
             self._unsubscribe(list(self._subscribers))
 
     def update(self, now: float) -> None:
-        """Update the rate of each topic, its latest message and its text."""
+        """Update the rate of each topic, and the text of its latest message."""
         for each in self._state.topics:
             each.measure(now)
             latest = self._latest.pop(each.topic.name, None)
             if latest is None:
                 continue
             try:
-                each.message = self.unpack(each.topic, latest)
-                each.words = each.topic.words(each.message)
+                each.words = each.topic.words(self.unpack(each.topic, latest))
             except Exception as error:  # pylint: disable=broad-except
                 # The message may be of another version of the type.
-                each.message, each.words = None, f'not as expected: {error}'
+                each.words = f'not as expected: {error}'
 
     def unpack(self, topic: BridgeTopic, data: bytes) -> Any:
         """Deserialize a message of a topic.
