@@ -68,7 +68,7 @@ def holders_of(path: str) -> List[str]:
     """The programs that have a device open, or hold its lock, as far as this user may see them."""
     with suppress(OSError):
         pids = open_in(path) | _by_lock(os.stat(path))
-        return [f'{_program(pid)} (pid {pid})' for pid in sorted(pids)]
+        return list(map(program, sorted(pids)))
     return []
 
 
@@ -81,12 +81,12 @@ def _by_lock(port: os.stat_result) -> Set[int]:
     return set()
 
 
-def _program(pid: int) -> str:
-    """The name of a process: of a script, not of its interpreter; '?' if it has just ended."""
+def program(pid: int) -> str:
+    """A process, by the name of its script, not of the interpreter; '?' if it has just ended."""
     words = list(filter(None, _content(f'/proc/{pid}/cmdline').split('\0')))
     names = [os.path.basename(word) for word in words] or ['?']
     is_script = names[0].startswith('python') and len(words) > 1 and words[1][0] != '-'
-    return names[is_script]
+    return f'{names[is_script]} (pid {pid})'
 
 
 def no_access(path: str) -> str:
