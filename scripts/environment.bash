@@ -1,8 +1,5 @@
-# Set-up that the programs of a checkout share: installs, builds and sources the package. They
-# source this file and call, for example,  set_up run  or  set_up run test avr.
-#
-# If nothing is missing and nothing has changed, this takes a fraction of a second and uses no
-# network, no package manager and no cmake.
+# What the programs of a checkout share: they source this file and call, for example,  set_up run test
+# which installs what is missing, builds what has changed, and sources the result.
 
 checkout=$(dirname "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")")
 build=$checkout/build
@@ -39,12 +36,27 @@ fail() {
     exit 1
 }
 
+wrong_usage() {
+    printf '%s: %s\nTry: scripts/%s --help\n' "${0##*/}" "$*" "${0##*/}" >&2
+    exit 2
+}
+
 # set_up NEED...: install the missing packages for these needs, build, and source the result.
 set_up() {
-    local prefix missing
-    forget_other_ros
-    prefix=$(ros_prefix)
-    missing=$(missing_packages "$@")
+    local prefix='' each missing
+    # Another ROS or Python of the caller's shell would mix with this one.
+    unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PKG_CONFIG_PATH \
+        PYTHONPATH PYTHONHOME VIRTUAL_ENV ROS_DISTRO ROS_ETC_DIR ROS_PACKAGE_PATH \
+        ROS_PYTHON_VERSION ROS_ROOT ROS_VERSION
+    export PYTHONNOUSERSITE=1
+    export PATH="/usr/bin:/bin:/usr/sbin:/sbin:$PATH"    # ROS belongs to the system's python3
+    for each in "${prefixes[@]}"; do
+        if [[ -e $each/setup.bash ]]; then
+            prefix=$each
+            break
+        fi
+    done
+    missing=$(missing_packages "$prefix" "$@")
     # shellcheck disable=SC2086
     [[ -z $missing ]] || install $missing
     [[ -z $prefix ]] || source_quietly "$prefix/setup.bash"
@@ -56,23 +68,6 @@ set_up() {
     # Logs stay with the build: the home folder may be missing or not writable.
     export ROS_HOME=$build/ros ROS_LOG_DIR=$build/ros/log
     mkdir -p "$ROS_LOG_DIR"
-}
-
-# Remove the settings of another ROS or Python in the caller's shell, which would mix with this one.
-# The caller's ROS_MASTER_URI, ROS_IP and ROS_HOSTNAME are kept.
-forget_other_ros() {
-    unset AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PKG_CONFIG_PATH \
-        PYTHONPATH PYTHONHOME VIRTUAL_ENV ROS_DISTRO ROS_ETC_DIR ROS_PACKAGE_PATH \
-        ROS_PYTHON_VERSION ROS_ROOT ROS_VERSION
-    export PYTHONNOUSERSITE=1
-    export PATH="/usr/bin:/bin:/usr/sbin:/sbin:$PATH"    # ROS belongs to the system's python3
-}
-
-ros_prefix() {
-    local prefix
-    for prefix in "${prefixes[@]}"; do
-        [[ ! -e $prefix/setup.bash ]] || { echo "$prefix" && return; }
-    done
 }
 
 # setup.bash reads unset variables.
@@ -87,48 +82,34 @@ resolves() {
     timeout 3 getent ahosts "$1" >/dev/null
 }
 
-# -- packages ------------------------------------------------------------------------------
-
-# missing_packages NEED...
+# missing_packages PREFIX NEED...
 missing_packages() {
-    local needed installed package
-    needed=$(needed_packages "$@")
-    # shellcheck disable=SC2086
-    installed=$(dpkg-query -W -f '${db:Status-Status} ${Package}\n' $needed 2>/dev/null || true)
-    for package in $needed; do
-        grep -qx "installed $package" <<<"$installed" || built_from_source "$package" ||
-            printf '%s ' "$package"
-    done
+    export LC_ALL=C     # comm and sort agree
+    comm -23 <(needed_packages "$@" | sort -u) \
+        <(dpkg-query -W -f '${db:Status-Status} ${Package}\n' | sed -n 's/^installed //p' | sort)
     # A minimal system may have no /etc/hosts; this package makes localhost and the host resolve.
-    resolves localhost || printf 'libnss-myhostname '
+    resolves localhost || echo libnss-myhostname
 }
 
-# needed_packages NEED...
+# needed_packages PREFIX NEED...
 needed_packages() {
-    local prefix need names name
-    prefix=$(ros_prefix)
+    local prefix=$1 need names name ros
     packages | while read -r need names; do
-        [[ " $* " == *" $need "* ]] || continue
+        [[ " ${*:2} " == *" $need "* ]] || continue
         for name in $names; do
-            if [[ $name == *=* && -n $prefix ]]; then
-                echo "ros-${prefix##*/}-${name#*=}"
-            else
+            ros=${name#*=}
+            if [[ $name != *=* || -z $prefix ]]; then
                 echo "${name%=*}"
+            elif [[ ! -e $prefix/share/${ros//-/_}/package.xml ]]; then    # nor built from source
+                echo "ros-${prefix##*/}-$ros"
             fi
         done
-    done | sort -u
-}
-
-# A ROS built from source has no package of that name.
-built_from_source() {
-    local prefix name=${1#ros-*-}
-    prefix=$(ros_prefix)
-    [[ -n $prefix && $name != "$1" && -e $prefix/share/${name//-/_}/package.xml ]]
+    done
 }
 
 # install PACKAGE...
 install() {
-    local as_root=() package known=() lacking=()
+    local as_root=() package known=() lacking=() text
     if ((EUID)); then
         command -v sudo >/dev/null || fail "these packages are missing, and only root may install" \
             "them: $*; run this as root or as a user with sudo."
@@ -144,23 +125,15 @@ install() {
             lacking+=("$package")
         fi
     done
-    if ((${#lacking[@]})); then without "${lacking[@]}"; fi
+    if ((${#lacking[@]})); then
+        # shellcheck disable=SC1091
+        text="$(. /etc/os-release; echo "$PRETTY_NAME") has no package ${lacking[*]}"
+        [[ $text != *ros-core* && $text != *python3-serial* ]] || fail "$text; see doc/install.md"
+        say "$text; see doc/install.md. Going on without."
+    fi
     ((${#known[@]} == 0)) || "${as_root[@]}" install --no-install-recommends "${known[@]}" ||
         fail "apt-get could not install ${known[*]}; see above."
 }
-
-# without PACKAGE...: go on without packages that the system does not have, if the bridge can.
-without() {
-    local package text
-    # shellcheck disable=SC1091
-    text="$(. /etc/os-release; echo "$PRETTY_NAME") has no package $*; see doc/install.md"
-    for package in $(needed_packages run); do
-        [[ " $* " != *" $package "* ]] || fail "$text"
-    done
-    say "$text. Going on without."
-}
-
-# -- build ---------------------------------------------------------------------------------
 
 build_if_changed() {
     mkdir -p "$build"

@@ -106,7 +106,7 @@ class MonitorTest(BoardsTest):
         self.assertRegex(said, r'(?m)^arduino +OK +')
         self.assertNotRegex(said, r'(?m)^mcu')       # it has no port
         self.assertRegex(said, r'(?m)^~voltage +[\d.]+ Hz  11\.50 V$')
-        self.assertRegex(said, r'(?m)^~imu +[\d.]+ Hz  rpy 0\.0 0\.0 0\.0 deg')
+        self.assertRegex(said, r'(?m)^~imu +[\d.]+ Hz  roll 0\.0 deg, pitch')
         said = until(lambda: self.all_ok('--report'), 'every link is OK')
         self.assertRegex(said, r'(?m)^ports:\n  ')
         self.assertRegex(said, r'(?m)^  bus  OK  ready\n(    .*\n)*    checksum errors: 0$')

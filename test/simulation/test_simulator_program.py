@@ -1,38 +1,59 @@
-"""The program `simulator` as users and roslaunch start it."""
+"""The program `simulator`, on a given port and on a pseudo terminal of its own."""
+import contextlib
 import os
 import pty
 import signal
 import subprocess
 import sys
+import threading
 from functools import partial
 
 import pytest
 from lines import ROOT
+from links import BusLink
 from programs import started
 from waiting import PATIENCE, until
 
 from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.bus.simulator import ControlBoard
+from serial_communication.boards.mcu import wire as mcu
+from serial_communication.boards.mcu.simulator import SensorBoard
+from serial_communication.simulation.board import Runner
+from serial_communication.simulation.own_pty import OwnPty
+from serial_communication.transport.port import Port
 
-SIMULATOR = os.path.join(ROOT, 'scripts', 'simulator')
+SIMULATOR = [sys.executable, os.path.join(ROOT, 'scripts', 'simulator')]
 
 
-def run(*arguments, **options):
-    return subprocess.run([sys.executable, SIMULATOR] + list(arguments), timeout=PATIENCE,
-                          stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options)
+@pytest.mark.parametrize('arguments, says', [
+    ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], "no attribute 'DESCRIPTION'"),
+    (['bus', '--port', 'x', '--link', 'y'], 'not allowed'), (['bus', '--port', ''], 'is empty'),
+    (['mcu', '--port', 'x', '--faults', 'flip=0.1 flap=1'], 'flap'),
+    (['bus', '--port', 'x', '--lift-speed', '0'], 'lift-speed'),
+    (['mcu', '--port', 'x', '--rate', 'fast'], 'rate'),
+    (['mcu', '--port', 'x', '--stall', '1'], 'stall'),
+    (['bus', '--port', 'nonsense://x'], 'nonsense')])
+def test_wrong_arguments_end_it_with_status_2_and_the_reason(arguments, says):
+    done = subprocess.run([*SIMULATOR, *arguments], timeout=PATIENCE, stderr=subprocess.PIPE,
+                          text=True)
+    assert done.returncode == 2 and 'Traceback' not in done.stderr
+    assert says in done.stderr.splitlines()[-1]
 
 
 class Running:
     """A running simulator, which prints to a file."""
 
-    def __init__(self, directory, *arguments):
-        self._output = directory / 'output'
+    def __init__(self, folder, *arguments):
+        self._output = folder / 'output'
         with open(self._output, 'w') as output:
-            self.process = subprocess.Popen([sys.executable, SIMULATOR] + list(arguments),
-                                            stdout=output, stderr=subprocess.STDOUT,
-                                            cwd=str(directory))
+            self.process = subprocess.Popen([*SIMULATOR, *arguments], stdout=output,
+                                            stderr=subprocess.STDOUT)
 
     def text(self):
         return self._output.read_text()
+
+    def until_said(self, words):
+        until(lambda: words in self.text(), words)
 
     def end(self, number=signal.SIGTERM):
         self.process.send_signal(number)
@@ -53,25 +74,20 @@ def tty():
     os.close(far)
 
 
-@pytest.mark.parametrize('arguments, says', [
-    ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], "no attribute 'DESCRIPTION'"),
-    (['bus', '--port', 'x', '--link', 'y'], 'not allowed'), (['bus', '--port', ''], 'is empty'),
-    (['mcu', '--port', 'x', '--faults', 'flip=0.1 flap=1'], 'flap'),
-    (['bus', '--port', 'x', '--lift-speed', '0'], 'lift-speed'),
-    (['mcu', '--port', 'x', '--rate', 'fast'], 'rate'),
-    (['mcu', '--port', 'x', '--stall', '1'], 'stall'),
-    (['bus', '--port', 'nonsense://x'], 'nonsense')])
-def test_wrong_arguments_end_it_with_status_2_and_the_reason(arguments, says):
-    result = run(*arguments)
-    assert result.returncode == 2
-    assert says in result.stderr.splitlines()[-1] and 'Traceback' not in result.stderr
+def assert_answers(descriptor):
+    """The bus board at this end answers SYNC."""
+    os.write(descriptor, bus.encode_request(bus.SYNC_REQUEST))
+    answer = b''
+    while len(answer) < 4:
+        answer += os.read(descriptor, 100)
+    assert answer == bus.encode_reply(bus.Reply(bus.SYNC))
 
 
 @pytest.mark.parametrize('number', [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_a_working_simulator_cleanly(start, tty, number):
     simulator = start('arduino', '--port', tty[0], '--faults', 'all', '--seed', '3',
                       '__name:=car', '__log:=/tmp/x.log', 'a:=b')
-    until(lambda: 'open' in simulator.text(), 'the port')
+    simulator.until_said('open')
     assert os.read(tty[1], 1000)
     assert simulator.end(number) == 0
     said = simulator.text()
@@ -81,17 +97,78 @@ def test_a_signal_ends_a_working_simulator_cleanly(start, tty, number):
 def test_it_waits_for_an_absent_port(start, tty, tmp_path):
     name = tmp_path / 'port'
     simulator = start('bus', '--port', str(name))
-    until(lambda: 'waiting' in simulator.text(), 'the waiting')
+    simulator.until_said('waiting')
     name.symlink_to(tty[0])
-    until(lambda: 'open' in simulator.text(), 'the port')
-    port_answers(tty[1])
+    simulator.until_said('open')
+    assert_answers(tty[1])
     assert simulator.end() == 0
-    assert len(simulator.text().splitlines()) == 3      # waiting, open, synchronised
 
 
-def port_answers(descriptor):
-    os.write(descriptor, bus.encode_request(bus.SYNC_REQUEST))
-    answer = b''
-    while len(answer) < 4:
-        answer += os.read(descriptor, 100)
-    assert answer == bus.encode_reply(bus.Reply(bus.SYNC))
+# -- on a pseudo terminal of its own ----------------------------------------------------------
+
+
+def test_it_replaces_a_link_of_a_killed_one_and_removes_its_own(start, tmp_path):
+    link = str(tmp_path / 'new' / 'folder' / 'board')
+    for number, is_left in ((signal.SIGKILL, True), (signal.SIGTERM, False)):
+        simulator = start('bus', '--link', link)
+        simulator.until_said('waiting for a program that opens it')
+        if not is_left:
+            with open(link, 'r+b', buffering=0) as port:
+                assert_answers(port.fileno())
+        simulator.end(number)
+        assert os.path.islink(link) == is_left
+
+
+def test_it_replaces_no_other_file(start, tmp_path):
+    path = tmp_path / 'file'
+    path.write_text('mine')
+    simulator = start('bus', '--link', str(path))
+    assert simulator.process.wait(PATIENCE) == 1 and 'File exists' in simulator.text()
+    assert path.read_text() == 'mine'
+
+
+@contextlib.contextmanager
+def running(board, link):
+    """Context in which the board runs on a pseudo terminal of its own; yields its runner."""
+    port = OwnPty(link)
+    runner = Runner(board, port)
+    thread = threading.Thread(target=runner.run, name='board')
+    thread.start()
+    try:
+        yield runner
+    finally:
+        runner.stop()
+        thread.join(PATIENCE)
+        port.remove()
+        assert not thread.is_alive() and not os.path.exists(link)
+
+
+@pytest.mark.parametrize('rate, unread', [(50, 5), (1000, 700)], ids=['', 'the port is full'])
+def test_a_board_goes_on_while_nobody_reads_it_and_leaves_nothing_old(tmp_path, rate, unread):
+    link = str(tmp_path / 'board')
+    with running(SensorBoard(rate=rate), link) as runner:
+        line = runner.line
+        for _ in range(2):
+            before, decoder, frames = line.frames, mcu.Decoder(), []
+            bridge = os.open(link, os.O_RDWR | os.O_NOCTTY)
+            while not frames:
+                frames = decoder.feed(os.read(bridge, 1))
+            assert (frames[0].number - before) % 256 < 128      # SEQ counts every frame
+            count = line.frames
+            until(lambda: line.frames > count + unread, 'frames that nobody reads')
+            os.close(bridge)
+            until(lambda: not runner.port.is_open, 'it sees that it is closed')
+            count = line.frames
+            until(lambda: line.frames > count + 5, 'the board goes on')
+
+
+def test_a_link_of_the_bridge_opens_it_again_and_again(tmp_path):
+    link = str(tmp_path / 'board')
+    with running(ControlBoard(lift_speed=2000), link):
+        for distance in 10, 20:
+            bridge = BusLink(Port(link))
+            bridge.start()
+            until(lambda: bridge.request(
+                bus.LIFT_FUNCTION.make_request((0, distance))).success, 'SYNC, and a move')
+            bridge.stop()
+            bridge.join(PATIENCE)

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from sources import PACKAGE, ROOT, name, python_files, shell_files
+from sources import PACKAGE, ROOT, name, python_files, python_programs, shell_files
 
 # Rules of catkin_lint that do not fit here:
 IGNORED = (
@@ -100,6 +100,12 @@ def test_robot_programs_are_installed():
     """The programs for a robot are installed; programs of a checkout are not."""
     cmake = (ROOT / 'CMakeLists.txt').read_text()
     programs = {path.name for path in (ROOT / 'scripts').iterdir() if os.access(path, os.X_OK)}
-    own = {'bench', 'demo', 'pictures', 'soak', 'test'}
-    assert programs - own == set(
+    assert programs - {'bench', 'demo', 'pictures', 'soak', 'test'} == set(
         re.findall(r'^    scripts/(\S+)$', cmake, re.MULTILINE))
+
+
+def test_programs_run_with_the_python_of_ros():
+    """Another python3 that is first on the PATH, as of pyenv, has neither rospy nor pyserial."""
+    tests = [path for path in (ROOT / 'test').rglob('*.py') if os.access(path, os.X_OK)]
+    assert [name(path) for path in python_programs() + tests
+            if path.read_text().split('\n', 1)[0] != '#!/usr/bin/python3'] == []

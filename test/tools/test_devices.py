@@ -56,7 +56,7 @@ def test_a_port_has_all_its_names(computer):
     assert plain == Device('/dev/ttyS0') and plain.name == '/dev/ttyS0'
     links = str(computer.links)
     assert ftdi == Device('/dev/ttyUSB0', f'{links}/by-id/usb-FTDI', f'{links}/by-path/pci-1',
-                          'USB Serial', '1a86:7523', 'A5005A00')
+                          'USB Serial 1a86:7523', 'A5005A00')
     assert ftdi.name == ftdi.by_id
     # Two adapters without a serial number have the same name in by-id: the last one has it.
     assert clone.name == f'{links}/by-path/pci-2'

@@ -3,11 +3,12 @@ import random
 
 import pytest
 
-from serial_communication.boards import BOARDS, description
+from serial_communication.boards import BOARDS
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.tools.ports.listening import Candidate, recognised
+from serial_communication.tools.ports.listening import recognised
+from wire_lines import settings
 
 CHOICE = random.Random(22)
 STREAMS = {
@@ -22,7 +23,7 @@ STREAMS = {
 
 
 def board_of(data):
-    return recognised([Candidate(description(name), {}) for name in BOARDS], data)
+    return recognised(map(settings, BOARDS), data)
 
 
 @pytest.mark.parametrize('name', sorted(STREAMS))

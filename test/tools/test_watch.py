@@ -1,24 +1,19 @@
-"""A bridge seen from outside: its topics, their text, its links and ages; without ROS."""
+"""A bridge seen from outside: topics and their text, links, ages, and the table; without ROS."""
 from types import SimpleNamespace as Message
 
 import pytest
+
 from serial_communication.boards import BOARDS, description
 from serial_communication.srv import LiftResponse
-from serial_communication.tools.watch import topics
+from serial_communication.tools.monitor import report
+from serial_communication.tools.watch import table, topics
 from serial_communication.tools.watch.calls import Verdict, read_response
-from serial_communication.tools.watch.state import BridgeState, LinkState, TopicState
+from serial_communication.tools.watch.state import (ERROR, OK, WARN, BridgeState, LinkState,
+                                                    TopicState)
 from serial_communication.tools.watch.topics import BridgeTopic
 
 NODE = '/serial_communication'
-
-
-def words(type_, message):
-    return BridgeTopic('any', type_).words(message)
-
-
-def custom_topics(parameters):
-    return [topic for name in BOARDS
-            for topic in topics.row_topics(description(name), parameters)]
+NOW = 4000.0
 
 
 @pytest.mark.parametrize('status, verdict', [
@@ -26,9 +21,6 @@ def custom_topics(parameters):
     (LiftResponse.TIMEOUT, Verdict.NOT_KNOWN), (2, Verdict.NOT_KNOWN), (77, Verdict.NOT_KNOWN)])
 def test_only_a_call_that_was_certainly_not_executed_counts_as_refused(status, verdict):
     assert read_response(LiftResponse(False, status, 0, 'why')) == (verdict, 'why')
-
-
-# -- names and what a bridge publishes ---------------------------------------------------------
 
 
 @pytest.mark.parametrize('name, node, full', [
@@ -54,25 +46,21 @@ def test_parameters_make_the_topics_of_custom_messages():
             'grip': {'cmd2': 7, 'srv_type': 'std_srvs/Trigger'},
             'level': {'cmd2': 8, 'ros_type': 'std_msgs/UInt8', 'period': 5,
                       'reply': {'layout': '<B', 'fields': ['data']}}}}}
-    custom = {each.name: each for each in custom_topics(parameters)}
-    assert set(custom) == {'~force', 'mcu/wind', '~level'}
-    assert custom['~force'].fields == ('data',)
-    assert custom['mcu/wind'].fields == ('vector.x', 'vector.y')
-    assert custom['~level'].period == 5.0 and custom['~level'].links == ('bus',)
+    custom = {topic.name: topic for name in BOARDS
+              for topic in topics.row_topics(description(name), parameters)}
+    assert {name: (each.fields, each.links, each.period) for name, each in custom.items()} == {
+        '~force': (('data',), ('arduino',), None),
+        'mcu/wind': (('vector.x', 'vector.y'), ('mcu',), None),
+        '~level': (('data',), ('bus',), 5.0)}
     assert topics.expected_links(parameters) == ['bus', 'arduino']
-
-    found = topics.published_topics(
+    environment, force = topics.published_topics(
         NODE, {NODE + '/force': 'std_msgs/Float32',
                NODE + '/environment': 'serial_communication/Environment'},
         parameters, topics.boards_of(parameters))
-    assert found[0].period == 60.0
-    value, = found[1].values(Message(data=1.5))
-    assert value.value == 1.5
-    wind = custom['mcu/wind']
-    assert wind.words(Message(vector=Message(x=0.5, y=-1.25))) == 'vector.x 0.5, vector.y -1.25'
-
-
-# -- words ---------------------------------------------------------------------------------------
+    assert environment.period == 60.0
+    assert [each.value for each in force.values(Message(data=1.5))] == [1.5]
+    assert custom['mcu/wind'].words(
+        Message(vector=Message(x=0.5, y=-1.25))) == 'vector.x 0.5, vector.y -1.25'
 
 
 # -- ages ----------------------------------------------------------------------------------------
@@ -101,34 +89,80 @@ TENTHS = [tick / 10 for tick in range(100)] + [110.0]
 def test_a_value_is_stale_after_three_periods(period, times, fresh_at, stale_at):
     each = fed(BridgeTopic('any', 'x/Y', period=period), times)
     assert not each.stale(fresh_at) and (stale_at is None or each.stale(stale_at))
-    assert TopicState(each.topic).age(10.0) is None and not TopicState(each.topic).stale(10.0)
+    assert not TopicState(each.topic).stale(10.0)
     assert not fed(BridgeTopic('any', 'x/Y', period=period, ages=False), times).stale(1e4)
 
 
 # -- the bridge ----------------------------------------------------------------------------------
 
 
-def reported(level, at, **values):
-    return LinkState(level, 'open', values, at)
+def bridge(registered=True, **links):
+    """A bridge whose links have these levels, and that has two topics."""
+    made = BridgeState(NODE, 'http://here')
+    made.master_answered(registered, NOW)
+    made.set_topics([BridgeTopic('~voltage', 'x/Y', period=1.0), BridgeTopic('~led', 'x/Y')])
+    for name, level in links.items():
+        made.set_link(name, LinkState(level, 'open', {
+            'checksum errors': '3', 'framing errors': '4', 'timeouts': '2', 'reconnects': '0',
+            'odd errors': 'many', 'square errors': '\u00b2', 'endless errors': '9' * 5000}, NOW))
+    return made
 
 
-def test_errors_are_counted_by_cause():
-    link = LinkState(0, 'open', {'checksum errors': '3', 'framing errors': '4', 'port': 'x',
-                                 'odd errors': 'many', 'square errors': '\u00b2',
-                                 'arabic errors': '\u0663', 'endless errors': '9' * 5000})
-    assert link.errors == {'checksum': 3, 'framing': 4}
+@pytest.mark.parametrize('links, later, is_ok, trouble', [
+    ({}, 0, False, 'has reported nothing yet'), ({'bus': OK}, 0, True, ''),
+    ({'bus': OK, 'mcu': WARN}, 0, False, ''), ({'bus': OK, 'mcu': OK}, 2.9, True, ''),
+    ({'bus': OK}, 3.1, False, 'no answer from the ROS master at http://here')])
+def test_all_is_ok_if_every_link_is_and_reports(links, later, is_ok, trouble):
+    watched = bridge(**links)
+    assert watched.all_ok(NOW + later) == is_ok
+    assert (trouble in watched.trouble(NOW + later)) and bool(trouble) == bool(
+        watched.trouble(NOW + later))
+    assert bridge(registered=False).trouble(NOW).startswith(f'no bridge {NODE}')
 
 
-def test_all_ok_requires_every_link_and_no_trouble():
-    bridge = BridgeState()
-    bridge.master_answered(True, 5.0)
-    assert not bridge.all_ok(5.0)
-    bridge.set_link('bus', reported(0, 5.0))
-    assert bridge.all_ok(5.0)
-    bridge.set_link('mcu', reported(1, 5.0))
-    assert not bridge.all_ok(5.0)
-    bridge.set_link('mcu', reported(0, 5.0))
-    bridge.expect_links(['gps'])
-    assert not bridge.all_ok(5.0)     # no status of it yet
-    bridge.set_link('gps', reported(0, 1.0))
-    assert not bridge.all_ok(5.0)     # reported too long ago
+def test_the_table_has_links_errors_by_cause_values_and_ages():
+    watched = bridge(mcu=OK, bus=ERROR)
+    each = watched.topic('~voltage')
+    each.received(NOW)
+    each.words, each.rate = '11.5 V', 1.0
+    found = {line.text.split()[0]: line for line in table.lines(watched, NOW)}
+    assert [*found] == ['Bridge', 'bus', 'mcu', '~voltage', '~led']
+    assert (found['bus'].level, found['mcu'].level) == (ERROR, OK)
+    assert found['mcu'].text.endswith('open, errors 7 (3 checksum, 4 framing), timeouts 2')
+    assert found['~voltage'].text.split() == ['~voltage', '1.0', 'Hz', '11.5', 'V']
+    later = {line.text.split()[0]: line for line in table.lines(watched, NOW + 3.5)}
+    assert later['~voltage'].text.split() == ['~voltage', '3.5', 's', 'old', '11.5', 'V']
+    assert 'STALE' in later['mcu'].text
+
+
+@pytest.mark.parametrize('columns, rows', [(200, 60), (80, 24), (30, 5), (3, 2)])
+def test_a_terminal_shows_as_much_of_the_table_as_fits_and_never_scrolls_it(
+        columns, rows, monkeypatch, capsys):
+    monkeypatch.setenv('COLUMNS', str(columns))
+    monkeypatch.setenv('LINES', str(rows))
+    monkeypatch.setenv('NO_COLOR', '1')
+    screen = table.Screen()
+    lines = [table.Line(f'{number} {"x" * 100}\n') for number in range(40)]
+    screen.show(lines)
+    screen.show(lines)
+    first, second = capsys.readouterr().out.split('\033[J')[:2]
+    assert first.count('\n') == min(40, rows - 1)
+    assert second.startswith(f'\033[{first.count(chr(10))}F')
+    assert all(len(line) <= columns for line in first.replace('\033[2K', '').split('\n'))
+    assert first.startswith('\033[2K0 x'[:columns + 4] if rows > 2 else '\033[2K')
+
+
+def test_a_report_has_the_diagnostics_and_parameters_but_no_secret_and_no_host():
+    watched = BridgeState()
+    watched.expect_links(['bus', 'arduino'])
+    watched.set_link('bus', LinkState(ERROR, 'socket://robot.lan:4001: no connection',
+                                      {'checksum errors': '3'}))
+    watched.set_parameters({'bus': {'port': 'rfc2217://me:hunt/er2@192.168.1.7:4001?logging=info',
+                                    'reply_timeout': 0.5},
+                            'scale': {'MQTT_Password': 'hunter3', 'access_token': [1, 'hunter4']}})
+    text = report.of_bridge(watched)
+    assert '  bus  ERROR  socket://…: no connection\n    checksum errors: 3\n' in text
+    assert '  arduino  no report\n' in text and '    reply_timeout: 0.5\n' in text
+    assert '    port: rfc2217://…?logging=info\n' in text
+    assert '    MQTT_Password: …\n' in text and text.endswith('    access_token: …')
+    assert not any(word in text for word in ('hunt', '192.168', 'robot.lan'))

@@ -1,33 +1,38 @@
-"""wire explain: the values of every vector, and damaged bytes."""
+"""wire explain: the values of every vector, damaged bytes, and the parts of any bytes."""
 import re
 import struct
 import subprocess
 import sys
 
+import crane_scale
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lines import ROOT
+from waiting import PATIENCE
+from wire_lines import ARDUINO, BUS, FRAMES, LINKS, MCU, damaged_stream, settings
 
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.simulation.announcing import chunks_of
 from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NotHex
-from waiting import PATIENCE
-from wire_lines import LINKS, ROOT, damaged_stream, settings, vectors
+from serial_communication.tools.wire.fields import Explainer
+from serial_communication.tools.wire.lines import Settings
 
-PROGRAM = [sys.executable, ROOT + '/scripts/wire', 'explain']
 TO_ARDUINO = (4, 5, 6, 11, 12)      # message types that only a computer sends
+hexed = bytes.fromhex
 
 
 def run(*arguments, given=''):
-    return subprocess.run(PROGRAM + list(arguments), input=given, timeout=PATIENCE, text=True,
-                          stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    return subprocess.run([sys.executable, ROOT + '/scripts/wire', 'explain', *arguments],
+                          input=given, timeout=PATIENCE, text=True, stdout=subprocess.PIPE,
+                          stderr=subprocess.PIPE)
 
 
-def only(link, data, **options):
-    """Explain bytes that have exactly one frame."""
-    found = explain.explain(data, settings(link)._replace(**options))
-    assert len(found) == 1, found
-    return found[0]
+def only(link, text):
+    """Explain bytes that are exactly one frame."""
+    each, = explain.explain(hexed(text), settings(link))
+    return each
 
 
 def value_of(each, name):
@@ -37,23 +42,17 @@ def value_of(each, name):
     return found[0]
 
 
-def hexed(text):
-    return bytes.fromhex(text)
+def data_of(parts):
+    return b''.join(part.data for part in parts)
 
 
 # -- the vectors ----------------------------------------------------------------------------------
 
-BUS = vectors('robot_ctrl_bus')
-MCU = vectors('mcu')['frames']
-ARDUINO = vectors('arduino')['packets']
-
-
 @pytest.mark.parametrize('case', BUS['requests'], ids=lambda case: case['frame'])
 def test_a_bus_request_is_explained_by_its_values(case):
-    each = only('bus', hexed(case['frame']))
-    assert each.sent and not each.trouble
+    each = only('bus', case['frame'])
+    assert each.sent and not each.trouble and data_of(each.parts[4:-1]) == hexed(case['data'])
     assert (value_of(each, 'CMD1'), value_of(each, 'CMD2')) == (case['cmd1'], case['cmd2'])
-    assert b''.join(part.data for part in each.parts[4:-1]) == hexed(case['data'])
 
 
 @pytest.mark.parametrize('case', BUS['replies'], ids=lambda case: case['frame'])
@@ -61,9 +60,8 @@ def test_a_bus_reply_is_explained_by_its_values(case):
     asked = re.search(r'smoke (\d+), (\S+) C, (\S+) %', case['name'])
     request = bus.encode_request(bus.ENVIRONMENT_REQUEST if asked else bus.SYNC_REQUEST)
     *_, each = explain.explain(request + hexed(case['frame']), settings('bus'))
-    assert not each.sent and not each.trouble
-    assert value_of(each, 'CMD1') == case['cmd1']
-    assert b''.join(part.data for part in each.parts[3:-1]) == hexed(case['data'])
+    assert not each.sent and not each.trouble and value_of(each, 'CMD1') == case['cmd1']
+    assert data_of(each.parts[3:-1]) == hexed(case['data'])
     if 'error' in case:
         assert value_of(each, 'error code') == case['error']
     if asked:
@@ -73,7 +71,7 @@ def test_a_bus_reply_is_explained_by_its_values(case):
 
 @pytest.mark.parametrize('case', MCU, ids=lambda case: case['frame'])
 def test_an_mcu_frame_is_explained_by_its_values(case):
-    each = only('mcu', hexed(case['frame']))
+    each = only('mcu', case['frame'])
     assert not each.sent and not each.trouble
     assert (value_of(each, 'TYPE'), value_of(each, 'SEQ')) == (case['type'], case['seq'])
     names = {'vl53_1': 'range_1', 'vl53_2': 'range_2'}
@@ -85,71 +83,59 @@ def test_an_mcu_frame_is_explained_by_its_values(case):
 
 @pytest.mark.parametrize('case', ARDUINO, ids=lambda case: case['wire'])
 def test_an_arduino_packet_is_explained_by_its_values(case):
-    each = only('arduino', hexed(case['wire']))
-    assert each.sent == (case['type'] in TO_ARDUINO)
-    assert value_of(each, 'type') == case['type']
-    decoded = b''.join(part.data for part in each.parts
-                       if part.name not in ('COBS code', 'end'))
-    assert decoded == bytes((case['type'],)) + hexed(case['payload'])
+    each = only('arduino', case['wire'])
+    assert (each.sent, value_of(each, 'type')) == (case['type'] in TO_ARDUINO, case['type'])
+    parts = [part for part in each.parts if part.name not in ('COBS code', 'type', 'end')]
+    assert data_of(parts) == hexed(case['payload'])
     if case['type'] == 9:
-        raw = [part.raw for part in each.parts if part.name not in ('COBS code', 'type', 'end')]
-        assert raw == list(struct.unpack('>11h', hexed(case['payload'])))
+        assert [part.raw for part in parts] == list(struct.unpack('>11h', hexed(case['payload'])))
     elif 'value' in case:
-        value = case['value']
-        assert value_of(each, 'value') == (
-            value if isinstance(value, str) else pytest.approx(value))
+        assert [part.value for part in parts] == [
+            case['value'] if isinstance(case['value'], str) else pytest.approx(case['value'])]
 
 
 # -- damage ---------------------------------------------------------------------------------------
 
-SOURCES = {'bus': [case['frame'] for key in ('requests', 'replies') for case in BUS[key]],
-           'mcu': [case['frame'] for case in MCU], 'arduino': [case['wire'] for case in ARDUINO]}
-
-
-def is_complete(data, found, link):
-    """Whether every byte is in a frame or noise, in order. Invalid frames may share their bytes."""
-    nothing = b'\0' if link == 'arduino' else b''
-    at = first = 0
-    for each in found:
-        raw = each.frame.raw
-        start = at if data.startswith(raw, at) else data.find(raw, first)
-        assert start >= 0, raw
-        assert not data[at:start].strip(nothing), data[at:start]
-        assert b''.join(raw[part.start:part.end] for part in each.parts) == raw
-        at = max(at, start + len(raw))
-        first = start + 1 if each.frame.cause else at
-    return not data[at:].strip(nothing)
+def check_whole(data, parts):
+    """The parts are in order, without gaps, and cover all bytes."""
+    ends = [0, *(part.end for part in parts)]
+    assert [part.start for part in parts] == ends[:-1] and ends[-1] == len(data)
+    assert all(part.name for part in parts)
 
 
 @pytest.mark.parametrize('link', LINKS)
 def test_a_damaged_stream_is_explained_with_all_its_bytes(link):
-    """For the parts of any bytes as one frame, see test_wire_fields."""
     for seed in range(20):
         data = damaged_stream(link, seed, 40)
         found = explain.explain(data, settings(link))
-        assert is_complete(data, found, link)
+        end, before = 0, b''
+        for raw in (each.frame.raw for each in found):
+            end += len(data[end:]) - len(data[end:].lstrip(b'\0')) if raw[:1] != b'\0' else 0
+            if data.startswith(raw, end):
+                end, before = end + len(raw), raw
+            else:
+                assert raw in before        # a whole frame inside an invalid one
+        assert not data[end:].strip(b'\0')
         invalid = [each for each in found if each.frame.cause]
-        assert invalid and all(each.trouble for each in invalid)
+        assert invalid and all(each.trouble and '\n' not in each.trouble for each in invalid)
         for each in found:
-            assert '\n' not in each.trouble
+            check_whole(each.frame.raw, each.parts)
 
 
 @pytest.mark.parametrize('link', LINKS)
 def test_an_incomplete_frame_is_explained_as_far_as_it_goes(link):
-    for text in SOURCES[link]:
-        data = hexed(text)
+    for data in FRAMES[link]:
         for size in range(1, min(len(data), 40)):
-            assert is_complete(data[:size], explain.explain(data[:size], settings(link)), link)
-    each = only('mcu', hexed('020c109c2f003a'))
+            assert any(each.trouble for each in explain.explain(data[:size], settings(link)))
+
+
+def test_what_is_missing_or_wrong_is_said():
+    each, = explain.explain(hexed('020c109c2f003a'), settings('mcu'))
     assert each.trouble == 'incomplete'
-    assert [(part.name, part.data, part.error) for part in each.parts[4:6]] == [
-        ('range_1', b'\x2f\0', ''), ('range_2', b'\x3a', 'missing, 1 byte')]
-
-
-def test_a_wrong_checksum_is_shown_with_the_right_one():
+    assert [(part.name, part.data, part.missing) for part in each.parts[4:6]] == [
+        ('range_1', b'\x2f\0', 0), ('range_2', b'\x3a', 1)]
     done = run('mcu', '020c109c2f003a0000000dfff3009903')
-    assert done.returncode == 1
-    assert re.search(r'99 +CRC +153 +should be 0x98', done.stdout)
+    assert done.returncode == 1 and re.search(r'99 +CRC +153 +should be 0x98', done.stdout)
 
 
 def test_a_packet_inside_an_invalid_one_is_not_shown_as_valid():
@@ -158,7 +144,7 @@ def test_a_packet_inside_an_invalid_one_is_not_shown_as_valid():
     for before in '05 ' + ticks, '01 ' * 300 + ticks:
         found = explain.explain(hexed(before + ticks), settings('arduino'), False)
         assert [each.frame.raw for each in found if not each.trouble] == [hexed(ticks)]
-        assert b''.join(each.frame.raw for each in found)[-4:] == hexed(ticks)
+        assert found[-1].frame.raw == hexed(ticks)
 
 
 def test_a_reply_is_explained_by_the_request_before_it():
@@ -169,17 +155,41 @@ def test_a_reply_is_explained_by_the_request_before_it():
     assert [part.name for part in found[1].parts][3:-1] == ['DATE']
 
 
-FORCE = (b'force: {type: 32, ros_type: any/Type, layout: "<h", fields: [data], scale: 0.01}\n'
-         b'wrong: {typ: 5}\n')
-PUMP = b'pump: {cmd2: 0x30, srv_type: any/Type, request: {layout: "<B", fields: [data]}}\n'
+# -- the parts of any bytes -----------------------------------------------------------------------
+
+def explainer(link, sent=False, **parameters):
+    return Explainer(settings(link)._replace(parameters=parameters), sent)
 
 
-def test_announced_messages_are_known_in_all_of_the_bytes():
-    message = arduino.encode_raw(32, (1234).to_bytes(2, 'little'))
-    chunks = b''.join(map(arduino.encode, chunks_of(FORCE, 20)))
-    found = explain.explain(message + chunks, settings('arduino'))
-    assert value_of(found[0], 'data') == 12.34 and not found[0].trouble
-    assert explain.explain(message + chunks[:-1], settings('arduino'))[0].trouble
+LINES = {'bus': explainer('bus'), 'bus, sent': explainer('bus', True), 'mcu': explainer('mcu'),
+         'bus with CMD2': explainer('bus', reply_has_cmd2=True), 'arduino': explainer('arduino'),
+         'arduino, sent': explainer('arduino', True),
+         'scale': Explainer(Settings(crane_scale.DESCRIPTION, 0), False)}
+
+
+@pytest.mark.parametrize('frame', [
+    arduino.encode(arduino.Imu(16384, 0, 0, 0, *range(7))), arduino.encode_raw(1, b'x' * 255),
+    arduino.encode_raw(1, b'x' * 253 + b'\0')], ids=['IMU', 'longest', 'long COBS code'])
+def test_a_packet_has_missing_parts_until_it_is_complete(frame):
+    for size in range(1, len(frame) + 1):
+        parts = LINES['arduino'].parts(frame[:size])
+        check_whole(frame[:size], parts)
+        assert any(part.missing for part in parts) == (size < len(frame))
+    assert not any(part.error for part in parts)
+
+
+@pytest.mark.parametrize('line', LINES)
+@given(frame=st.binary(max_size=60), start=st.sampled_from((
+    b'', b'\xa5', b'\xa5\2\x55\x20', b'\x5a', b'\2\x0c\x10', b'\2\x0e\1', b'\2\2', b'\6\x0a',
+    b'\3\x09', b'\5\1\xff', b'\0\0\2\x09', b':0200')))
+def test_the_parts_of_any_bytes_are_complete_and_an_incomplete_frame_has_an_error(
+        line, frame, start):
+    frame = start + frame
+    parts = LINES[line].parts(frame)
+    check_whole(frame, parts)
+    if frame and not any(part.error for part in parts):
+        # The damage left a frame, whose message may be refused.
+        assert [each.raw for each in LINES[line].decode(frame)] == [frame]
 
 
 # -- the text of bytes ----------------------------------------------------------------------------
@@ -199,12 +209,9 @@ def test_text_that_is_not_hex_is_refused(text):
         explain.parse(text)
 
 
-def test_the_status_says_whether_all_is_valid_and_usable():
-    assert run('bus', 'a5', '00', '02', 'a7').returncode == 0
-    assert run('bus', given='a50002a7\n').returncode == 0
-    assert run('bus', '-', given='a50002a7\n').returncode == 0
-    assert run('bus', 'a50002a6').returncode == 1
-    for arguments in (['bus', 'hello'], ['bus', ''], ['ferry', 'a5'], []):
-        done = run(*arguments)
-        assert done.returncode == 2 and 'Traceback' not in done.stderr
-    assert len(run('bus', 'hello').stderr.splitlines()) == 1
+@pytest.mark.parametrize('arguments, given, status', [
+    (['bus', 'a5', '00', '02', 'a7'], '', 0), (['bus'], 'a50002a7\n', 0),
+    (['bus', '-'], 'a50002a7\n', 0), (['bus', 'a50002a6'], '', 1), (['bus', 'hello'], '', 2)])
+def test_the_status_says_whether_all_is_valid_and_usable(arguments, given, status):
+    done = run(*arguments, given=given)
+    assert done.returncode == status and len(done.stderr.splitlines()) == (status == 2)

@@ -7,13 +7,13 @@ from datetime import datetime, timedelta
 import pytest
 import rosbag
 import rospy
-from lines import Pty
+from lines import ROOT, Pty
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.msg import SerialMsg
 from serial_communication.tools.wire import play
 from waiting import PATIENCE, until
-from wire_lines import ROOT, settings
+from wire_lines import settings
 
 PROGRAM = [sys.executable, ROOT + '/scripts/wire']
 

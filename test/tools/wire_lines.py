@@ -3,43 +3,34 @@ import json
 import os
 import random
 
+from lines import ROOT
 from serial_communication.boards import description
-from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.mcu import wire as mcu
-from serial_communication.boards.bus import wire as bus
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire.lines import Settings
 
-ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 LINKS = ('bus', 'arduino', 'mcu')
 
 
 def vectors(protocol):
     """The byte-exact vectors of one protocol."""
-    path = os.path.join(ROOT, 'test', 'boards', 'vectors', protocol + '.json')
-    with open(path, encoding='utf-8') as file:
+    with open(os.path.join(ROOT, 'test', 'boards', 'vectors', protocol + '.json')) as file:
         return json.load(file)
 
 
-def valid_frame(link, chance):
-    """A random frame of a board."""
-    number = chance.randrange(256)
-    if link == 'bus':
-        data = bytes(chance.randrange(256) for _ in range(chance.choice((0, 0, 2, 6, 6, 40))))
-        return bus.encode_reply(bus.Reply(chance.choice((0, 1, 2, 2, 2, 3)), data))
-    if link == 'mcu':
-        return mcu.encode(mcu.SensorStatus(chance.randrange(3000), 0xFFFF, number, 3.0, -2.0),
-                          number)
-    return arduino.encode(chance.choice((
-        arduino.Ticks(number), arduino.SteeringAngle(number * 5), arduino.Voltage(number / 20),
-        arduino.Imu(16384, 0, 0, 0, *[number] * 7), arduino.LOGS[2]('motor hot' * (number % 5)))))
+BUS = vectors('robot_ctrl_bus')
+MCU = vectors('mcu')['frames']
+ARDUINO = vectors('arduino')['packets']
+# Frames of both directions.
+FRAMES = {link: [bytes.fromhex(case[key]) for case in cases] for link, key, cases in (
+    ('bus', 'frame', BUS['requests'] + BUS['replies']), ('mcu', 'frame', MCU),
+    ('arduino', 'wire', ARDUINO))}
 
 
 def damaged_stream(link, seed, count):
-    """The bytes of a board on a line with faults."""
+    """The frames of a link on a line with faults."""
     chance = random.Random(f'{link} {seed}')
     faults = Faults(parse('drop=0.01 cut=0.03 lose=0.03 flip=0.03 insert=0.03 double=0.02'), seed)
-    return b''.join(faults.damaged(valid_frame(link, chance)) for _ in range(count))
+    return b''.join(faults.damaged(chance.choice(FRAMES[link])) for _ in range(count))
 
 
 def settings(link):

@@ -1,14 +1,13 @@
 """The report of `monitor --report`: what an issue needs, without secrets. It opens no port."""
-import os
 import platform
 import re
+from contextlib import suppress
 from typing import Any, List
 
 import rospkg
 import yaml
 
-from ..ports.devices import devices
-from ..ports.holders import holders_of
+from ..ports.devices import devices, holders_of
 from ..watch.state import BridgeState
 from ..watch.table import LEVELS
 
@@ -22,8 +21,7 @@ def of_computer() -> str:
     """The versions, the system and the serial ports of this computer."""
     python = f'Python {platform.python_version()}'
     system = f'{_system()}, {platform.machine()}, Linux {platform.release()}'
-    ports = [f'{device.path}  {device.adapter} {device.usb_id}'.rstrip()
-             + ''.join(f', open in {holder}' for holder in holders_of(device.path))
+    ports = [', '.join(filter(None, (device.path, device.adapter, *holders_of(device.path))))
              for device in devices()]
     return '\n'.join([', '.join([*map(_version, _PACKAGES), python]), system,
                       *_section('ports', ports or ['none'])])
@@ -54,10 +52,9 @@ def _version(package: str) -> str:
 
 def _system() -> str:
     """The name of the distribution."""
-    path = next(filter(os.path.exists, ('/etc/os-release', '/usr/lib/os-release')), os.devnull)
-    with open(path, encoding='utf-8', errors='replace') as file:
-        found = re.search(r'^PRETTY_NAME="?(.*?)"?$', file.read(), re.MULTILINE)
-    return found.group(1) if found else '?'
+    with suppress(OSError), open('/etc/os-release', encoding='utf-8', errors='replace') as file:
+        return ''.join(re.findall(r'^PRETTY_NAME="?(.*?)"?$', file.read(), re.MULTILINE))
+    return 'unknown system'
 
 
 def _without_secrets(value: Any, name: str = '') -> Any:

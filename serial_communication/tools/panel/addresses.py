@@ -11,7 +11,7 @@ from typing import List, Optional, Tuple
 
 import tornado.netutil
 
-from ..ports.holders import holder
+from ..ports.devices import program
 from .guard import is_loopback
 
 _LISTENS = '0A'        # state of a socket in /proc/net/tcp
@@ -59,7 +59,7 @@ def listener(port: int) -> str:
     for path in glob.iglob('/proc/[0-9]*/fd/*'):
         with suppress(OSError):
             if os.readlink(path) in sockets:
-                return str(holder(int(path.split('/')[2])))
+                return str(program(int(path.split('/')[2])))
     return 'another program' if sockets else ''
 
 

@@ -1,52 +1,44 @@
 """rosrun serial_communication ports: which board is on which port.
 
 Listens to each port and shows the board whose frames it receives, the port's names, who has it
-open, whether this user may open it, and what makes it slow; and then the lines to put into a
-configuration. It writes not one byte, unless --ask is given, and needs no ROS master. A port that
-another program has open is not touched. (An Arduino resets when its port is opened for the first
-time after it was plugged in.)
+open, and whether this user may open it; and then the lines to put into a configuration. It writes
+not one byte, unless --ask is given, and needs no ROS master. A port that another program has open
+is not touched. (An Arduino resets when its port is opened for the first time after it was plugged
+in.)
 """
 import argparse
+import json
 import os
-import threading
-from typing import Any, Dict, List, Optional
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Dict, Iterator, List, Optional
 
 from ...boards import BoardError, descriptions
+from ...output import end_with_output, prepare_output
 from ...simulation.arguments import (board_packages, board_parameters, read_parameters,
                                      url_argument)
-from ...output import no_more_output, prepare_output
+from ..wire import lines
+from ..wire.lines import Settings
 from . import devices
 from .devices import Device
-from .holders import holders_of
-from .listening import Candidate, Received, Listener
-from .report import Found, as_json, as_text
+from .listening import Received, listen
 
 _LONGEST = 120.0     # s to listen
-
-_EXAMPLES = """\
-examples:
-  ports                              every serial port of this computer
-  ports --ask                        also find a bus board
-  ports /dev/ttyUSB0 socket://192.168.1.7:4001 --json
-"""
+_SAMPLE = 24         # bytes that are shown
+_NONE = 'This computer has no serial port. Does the USB cable carry data? `dmesg | tail` shows ' \
+    'what was plugged in.'
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
     """Run the program and return the exit status."""
     prepare_output()
     options = _arguments(arguments)
-    try:
-        return _run(options)
-    except KeyboardInterrupt:
-        return 130
-    except BrokenPipeError:
-        no_more_output()
-        return 0
+    return end_with_output(lambda: _run(options))
 
 
 def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog='ports', description=__doc__.partition('\n\n')[2], epilog=_EXAMPLES,
+        prog='ports', description=__doc__.partition('\n\n')[2],
         formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('ports', metavar='PORT', nargs='*', type=url_argument,
                         help='a device, or whatever pyserial opens (all serial ports of this '
@@ -62,7 +54,7 @@ def _arguments(arguments: Optional[List[str]]) -> argparse.Namespace:
                              'other packages')
     options = parser.parse_args(arguments)
     try:
-        options.candidates = _candidates(options.config)
+        options.boards = _boards(options.config)
     except (OSError, BoardError, ValueError) as error:
         parser.error(f'{options.config}: {getattr(error, "strerror", None) or error}')
     return options
@@ -76,52 +68,73 @@ def _seconds(text: str) -> float:
     return value
 
 
-def _candidates(config: str) -> List[Candidate]:
-    parameters: Dict[str, Any] = read_parameters(config) if config else {}
-    candidates = [Candidate(board, board_parameters(parameters, board.name))
-                  for board in descriptions(board_packages(parameters))]
-    for candidate in candidates:     # ValueError for a mistake in a parameter
-        candidate.decoder()
-        candidate.board.baud_of(candidate.parameters)
-    return candidates
+def _boards(config: str) -> List[Settings]:
+    """The boards that may be on a port, as a configuration has them; ValueError for a mistake."""
+    parameters = read_parameters(config) if config else {}
+    boards = []
+    for board in descriptions(board_packages(parameters)):
+        own = board_parameters(parameters, board.name)
+        boards.append(Settings(board, board.baud_of(own), own))
+        lines.decoder(boards[-1], False)
+    return boards
 
 
 def _run(options: argparse.Namespace) -> int:
-    chosen = _chosen(options.ports)
-    if not chosen:
-        print('[]' if options.json else 'This computer has no serial port. Does the USB cable '
-              'carry data? `dmesg | tail` shows what was plugged in.')
-    ports = _listened(chosen, Listener(options.candidates, options.seconds, options.ask))
-    boards = {candidate.board.name: candidate for candidate in options.candidates}
-    if ports:
-        print(as_json(ports) if options.json else
-              as_text(ports, boards, options.seconds, options.ask, options.config))
+    there = devices.devices()
+    chosen = [next((device._replace(path=url) for device in there
+                    if device.path == os.path.realpath(url)), Device(url))
+              for url in options.ports] or there
+    if not options.json and chosen:
+        print('Listening ...', file=sys.stderr)
+    with ThreadPoolExecutor(max(1, len(chosen))) as pool:
+        ports = list(pool.map(lambda device: _look_at(device, options), chosen))
+    print(json.dumps(ports, indent=2) if options.json else
+          '\n\n'.join(_paragraphs(ports, options)) if ports else _NONE)
     return 0
 
 
-def _chosen(urls: List[str]) -> List[Device]:
-    there = devices.devices()
-    if not urls:
-        return there
-    return [next((device._replace(path=url) for device in there
-                  if device.path == os.path.realpath(url)), Device(url)) for url in urls]
-
-
-def _listened(chosen: List[Device], listener: Listener) -> List[Found]:
-    """Listen to all ports at the same time."""
-    heard: Dict[int, Received] = {}
-    found = [Found(device, holders_of(device.path), Received()) for device in chosen]
-
-    def listen(index: int, url: str) -> None:
-        heard[index] = listener.listen(url)
-
+def _look_at(device: Device, options: argparse.Namespace) -> Dict[str, Any]:
+    """What is printed of a port."""
+    holders = devices.holders_of(device.path)
     # A second reader would take bytes from the program that has a port open.
-    threads = [threading.Thread(target=listen, args=(index, port.device.path), daemon=True,
-                                name=port.device.path)
-               for index, port in enumerate(found) if not port.holders]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    in_use = Received(trouble='another program has it open')
-    return [port._replace(heard=heard.get(index, in_use)) for index, port in enumerate(found)]
+    heard = Received(trouble='another program has it open') if holders else listen(
+        device.path, options.boards, options.seconds, options.ask)
+    words = heard.data[:_SAMPLE]
+    return {'port': device.path, 'board': heard.board or None, 'baud': heard.baud,
+            'heard': 'frames' if heard.board else 'noise' if heard.data else 'nothing',
+            'held_by': ', '.join(holders) or None, 'name': device.name,
+            'by_id': device.by_id or None, 'by_path': device.by_path or None,
+            'adapter': device.adapter or None, 'trouble': heard.trouble or None,
+            'access': devices.no_access(device.path) or None,
+            'bytes': f'{words.hex(" ")} {ascii(words)[1:]}' if words else None}
+
+
+def _paragraphs(ports: List[Dict[str, Any]], options: argparse.Namespace) -> Iterator[str]:
+    titles = {each.board.name: each.board.title or 'no title' for each in options.boards}
+    found: Dict[str, Dict[str, Any]] = {}
+    for port in ports:
+        board = port['board']
+        if board:
+            words = f'{board} ({titles[board]}), at {port["baud"]} baud'
+        elif port['trouble']:
+            words = f'not listened to: {port["trouble"]}'
+        else:
+            words = 'bytes of no known board, at no usual baud rate' if port['bytes'] else 'silent'
+        keys = ('by_id', 'by_path', 'adapter', 'held_by', 'access', 'bytes')[:6 - bool(board)]
+        yield '\n'.join([f'{port["port"]}  {words}', *(
+            f'    {key:<9}{port[key]}' for key in keys if port[key])])
+        if board and found.setdefault(board, port) is not port:
+            yield f'note: {board} is on several ports; the first is taken: {found[board]["name"]}'
+    kinds = {port['heard'] for port in ports if not port['trouble']}
+    if 'nothing' in kinds and not options.ask:
+        yield 'note: a bus board is silent until it is asked: run this again with --ask'
+    if 'noise' in kinds and not options.config:
+        yield 'note: a board that sends only custom messages is found with their configuration: ' \
+            'run this again with --config FILE'
+    yield '\n'.join(['Put into a configuration (bridge.launch config:=FILE):', *(
+        f'{name}: {{port: {port["name"]}, baud: {port["baud"]}}}'
+        for name, port in sorted(found.items()))]) if found else 'No board was found.'
+
+
+if __name__ == '__main__':
+    sys.exit(main())

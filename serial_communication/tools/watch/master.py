@@ -9,17 +9,17 @@ import rosgraph
 from ...ros.master import ask
 
 _ASK_EVERY = 0.1                           # s
-_FIRST_REPORT, _REPORT_EVERY = 1.0, 10.0   # s of waiting
+_FIRST_REPORT, _REPORT_EVERY = 3.0, 10.0   # s of waiting
 
 
 def wait_for_master(stopping: threading.Event,
-                    say: Callable[[str], None] = lambda _text: None,
+                    say: Callable[[str], object],
                     patience: float = float('inf')) -> bool:
     """Wait for a ROS master, for `patience` s at most; return whether one answers.
 
     Args:
         stopping: ends the waiting when set.
-        say: called with a line of text after 1 s, then every 10 s.
+        say: called with a line of text after 3 s, then every 10 s.
     """
     uri, began = rosgraph.get_master_uri(), time.monotonic()
     due = began + _FIRST_REPORT

@@ -6,8 +6,7 @@ import re
 from collections import deque
 from typing import Any, Deque, Dict, Iterable, List, NamedTuple, Optional, Tuple
 
-from ...boards.description import Description
-from .topics import NODE, BridgeTopic, boards_of, in_order, in_table_order
+from .topics import NODE, BridgeTopic, boards_of, in_order
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3      # as diagnostic_msgs/DiagnosticStatus has them
 
@@ -35,8 +34,7 @@ class TopicState:
         self.topic = topic
         self.count = 0
         self.rate: Optional[float] = None     # Hz; None: not known yet
-        self.message: Any = None              # the latest at the last `Watcher.update`
-        self.words = ''                       # that message as text
+        self.words = ''                       # the latest message at the last `Watcher.update`
         self.last_at: Optional[float] = None
         self._measured_period: Optional[float] = None    # s
         self._counted: Deque[Tuple[float, int]] = deque()
@@ -63,10 +61,6 @@ class TopicState:
         began, count = self._counted[0]
         self.rate = (self.count - count) / (now - began) if now > began else None
 
-    def age(self, now: float) -> Optional[float]:
-        """Return the seconds since the latest message; None if there was none."""
-        return None if self.last_at is None else max(0.0, now - self.last_at)
-
     def stale_after(self) -> Optional[float]:
         """Return the age in seconds above which its value is stale; None if it never is."""
         periods = [each for each in (self.topic.period, self._measured_period) if each is not None]
@@ -76,8 +70,8 @@ class TopicState:
 
     def stale(self, now: float) -> bool:
         """Whether its value is older than three of its periods."""
-        age, limit = self.age(now), self.stale_after()
-        return age is not None and limit is not None and age > limit
+        limit = self.stale_after()
+        return self.last_at is not None and limit is not None and now - self.last_at > limit
 
 
 class LinkState(NamedTuple):
@@ -104,23 +98,18 @@ class BridgeState:
 
     Args:
         node: its full name.
-        topics: the topics it is expected to publish, known before the master answers.
-        links: the links that are expected to be on.
         master: the master's address, for texts.
     """
 
-    def __init__(self, node: str = NODE, topics: Iterable[BridgeTopic] = (),
-                 links: Iterable[str] = (), master: str = '') -> None:
+    def __init__(self, node: str = NODE, master: str = '') -> None:
         self.node = node
         self.master = master
         self.master_at: Optional[float] = None     # when the master answered last
         self.registered: Optional[bool] = None     # whether the master knows the node
-        self._agreed_at: float = 0.0        # when `registered` last agreed with what is received
         self.parameters: Dict[str, Any] = {}       # private ones, nested; empty until known
         self.boards = boards_of({})                # by these parameters
-        self._expected = list(topics)
-        self.topics: List[TopicState] = [TopicState(topic) for topic in self._expected]
-        self.links: Dict[str, Optional[LinkState]] = dict.fromkeys(in_order(links))
+        self.topics: List[TopicState] = []
+        self.links: Dict[str, Optional[LinkState]] = {}
 
     def topic(self, name: str) -> Optional[TopicState]:
         """Return the state of the topic with this relative name, or None."""
@@ -132,20 +121,13 @@ class BridgeState:
             self.boards = boards_of(parameters)
             self.parameters = parameters
 
-    def board(self, link: str) -> Optional[Description]:
-        """Return the board of a link, or None if it is not known here."""
-        return next((each for each in self.boards if each.name == link), None)
-
     def set_topics(self, topics: Iterable[BridgeTopic]) -> None:
-        """Replace the topics by these and the expected ones. A topic in both keeps its state."""
-        old = {each.topic.name: each for each in self.topics}
+        """Replace the topics by these. A topic in both keeps its state."""
+        old = {(each.topic.name, each.topic.type): each for each in self.topics}
         new = []
-        for topic in in_table_order([*self._expected, *topics]):
-            each = old.get(topic.name)
-            if each is None or each.topic.type != topic.type:
-                each = TopicState(topic)
-            each.topic = topic
-            new.append(each)
+        for topic in topics:
+            new.append(old.get((topic.name, topic.type)) or TopicState(topic))
+            new[-1].topic = topic
         self.topics = new
 
     def expect_links(self, names: Iterable[str]) -> None:
@@ -161,35 +143,24 @@ class BridgeState:
 
     def master_answered(self, registered: bool, now: float) -> None:
         """Store the master's answer: whether it knows the node."""
-        if registered or not self._reports(now):
-            self._agreed_at = now
         self.registered, self.master_at = registered, now
 
     def reported_at(self) -> Optional[float]:
         """Return when the bridge last reported on a link, or None."""
         return max((link.at for link in self.links.values() if link), default=None)
 
-    def _reports(self, now: float) -> bool:
-        reported = self.reported_at()
-        return reported is not None and now - reported <= _PERIODS_TO_STALE * _LINK_PERIOD
-
     def trouble(self, now: float) -> str:
         """Return why nothing new can be received, in words; '' while the bridge reports."""
-        reports, reported = self._reports(now), self.reported_at()
+        reported = self.reported_at()
         if self.master_at is None or now - self.master_at > _MASTER_TIMEOUT:
             age = '' if self.master_at is None else f' for {ago(now - self.master_at)}'
             return f'no answer from the ROS master at {self.master}{age}'
+        if reported is not None and now - reported <= _PERIODS_TO_STALE * _LINK_PERIOD:
+            return ''
         if self.registered is False:
-            if reports:
-                # It may have started or ended since the master answered.
-                return '' if now - self._agreed_at < _MASTER_TIMEOUT else \
-                    f'the master at {self.master} does not know the bridge {self.node}, ' \
-                    'although it runs: restart the bridge'
             return f'no bridge {self.node} at {self.master}'
-        if not reports:
-            return f'the bridge {self.node} has reported nothing' + (
-                ' yet' if reported is None else f' for {ago(now - reported)}')
-        return ''
+        return f'the bridge {self.node} has reported nothing' + (
+            ' yet' if reported is None else f' for {ago(now - reported)}')
 
     def all_ok(self, now: float) -> bool:
         """Whether the bridge reports, it has links, and every link is OK."""

@@ -38,6 +38,8 @@ class FieldValue(NamedTuple):
             return 'yes' if self.value else 'no'
         if isinstance(self.value, str):
             return self.value
+        if self.value != self.value:
+            return 'no value'
         if self.digits is not None:
             number = f'{self.value:.{self.digits}f}'
         else:
@@ -69,9 +71,8 @@ class BridgeTopic(NamedTuple):
         if self.type in _WORDS and not self.fields:
             return one_line(_WORDS[self.type](message))
         values = self.values(message)
-        if len(values) == 1:
-            return one_line(values[0].text())
-        return one_line(', '.join(f'{value.name} {value.text()}' for value in values))
+        return one_line(', '.join(f'{value.name} {value.text()}' * (len(values) > 1)
+                                  or value.text() for value in values))
 
 
 def board_topics(board: Description, parameters: Any = None) -> List[BridgeTopic]:
@@ -86,14 +87,11 @@ def _number(value: Any) -> Optional[float]:
     return float(value) if isinstance(value, (int, float)) else None
 
 
-_SHARED_TOPICS = (BridgeTopic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS, card=None),
-                  BridgeTopic('/tf', 'tf2_msgs/TFMessage', LINKS, card=None),
-                  BridgeTopic('/tf_static', 'tf2_msgs/TFMessage', LINKS, ages=False, card=None),
-                  BridgeTopic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0,
-                              card=None))
-TOPICS = (_SHARED_TOPICS[0],
+TOPICS = (BridgeTopic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS, card=None),
           *(topic for board in descriptions() for topic in board_topics(board)),
-          *_SHARED_TOPICS[1:])
+          BridgeTopic('/tf', 'tf2_msgs/TFMessage', LINKS, card=None),
+          BridgeTopic('/tf_static', 'tf2_msgs/TFMessage', LINKS, ages=False, card=None),
+          BridgeTopic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0, card=None))
 TABLE = {topic.name: topic for topic in TOPICS}
 
 
@@ -156,20 +154,14 @@ def published_topics(node: str, published: Dict[str, str], parameters: Any,
     names = {relative(full_name, node): type_ for full_name, type_ in published.items()
              if full_name not in ('/rosout', '/clock')
              and not relative(full_name, node).startswith(_SETTINGS)}
-    return in_table_order(topics.get(name, BridgeTopic(name, type_))._replace(type=type_)
-                          for name, type_ in names.items())
+    return [topics.get(name, BridgeTopic(name, names[name]))._replace(type=names[name])
+            for name in in_order(names, TABLE)]
 
 
-def in_table_order(topics: Iterable[BridgeTopic]) -> List[BridgeTopic]:
-    """Sort topics for display: those in `TABLE` in its order, then the others by name."""
-    given = {topic.name: topic for topic in topics}
-    return [given[name] for name in (*TABLE, *sorted(set(given) - set(TABLE))) if name in given]
-
-
-def in_order(links: Iterable[str]) -> List[str]:
-    """Sort names of links for display: those of this package first, then the others by name."""
-    given = set(links)
-    return [name for name in (*LINKS, *sorted(given - set(LINKS))) if name in given]
+def in_order(names: Iterable[str], first: Iterable[str] = LINKS) -> List[str]:
+    """Sort names for display: those in `first` in its order, then the others by name."""
+    given = set(names)
+    return [name for name in dict.fromkeys([*first, *sorted(given)]) if name in given]
 
 
 def expected_links(parameters: Dict[str, Any]) -> List[str]:
@@ -183,13 +175,9 @@ def given_rows(board: Description, parameters: Any) -> List[Tuple[Group, str, Di
     given = board_parameters(parameters, board.name)
     found = {(group.parameter, name): (group, name, row)
              for rows in (ANNOUNCED_GROUP, *(group.parameter for group in board.groups))
-             for name, row in _group(given.get(rows)).items() if isinstance(row, dict)
+             for name, row in board_parameters(given, rows).items() if isinstance(row, dict)
              for group in [board.group_of(row)] if rows in (ANNOUNCED_GROUP, group.parameter)}
     return list(found.values())
-
-
-def _group(given: Any) -> Dict[str, Any]:
-    return given if isinstance(given, dict) else {}
 
 
 def row_topics(board: Description, parameters: Any) -> List[BridgeTopic]:
@@ -202,9 +190,8 @@ def row_topics(board: Description, parameters: Any) -> List[BridgeTopic]:
 
 def _fields(row: Any) -> Tuple[str, ...]:
     paths = row.get('fields') if isinstance(row, dict) else None
-    if not isinstance(paths, list):
-        return ()
-    return tuple(str(path) for path in paths if path not in ('', BOARD_TIME))
+    return tuple(str(path) for path in paths if path not in ('', BOARD_TIME)) \
+        if isinstance(paths, list) else ()
 
 
 # -- any message ---------------------------------------------------------------------------------
@@ -260,30 +247,6 @@ def _imu(message: Any) -> List[FieldValue]:
     return found
 
 
-def _imu_words(message: Any) -> str:
-    values = {value.name: f'{value.value:.{value.digits}f}' for value in _imu(message)}
-    words = 'rpy {roll} {pitch} {yaw} deg'.format(**values)
-    if 'acceleration x' in values:
-        words += ', {} {} {} m/s^2'.format(*(values[f'acceleration {axis}'] for axis in 'xyz'))
-    return words
-
-
-def _range_words(message: Any) -> str:
-    if math.isnan(message.range):
-        return 'no reading'
-    if math.isinf(message.range):
-        return f'nearer than {message.min_range:.2f} m' if message.range < 0 \
-            else f'farther than {message.max_range:.2f} m'
-    return f'{message.range:.3f} m'
-
-
-def _status_words(message: Any, measured: str) -> str:
-    if not message.connected:
-        return f'silent for {message.last_frame_age_sec:.1f} s'
-    valid = 'valid' if message.valid else 'NOT valid'
-    return f'{measured}, {valid}, {message.crc_error_count} CRC errors, seq {message.seq}'
-
-
 _NO_READING = 65535     # mm, of a range in McuStatus2
 
 
@@ -291,12 +254,9 @@ def _millimetres(value: int) -> float:
     return math.nan if value == _NO_READING else value
 
 
-_ADC_FULL = 4095     # of an ADC channel
-
-
-def _channels(message: Any) -> List[FieldValue]:
-    return [FieldValue(f'adc{channel}', getattr(message, f'adc{channel}'), '', 0, 0, _ADC_FULL)
-            for channel in range(6)]
+def _status(message: Any, values: List[FieldValue]) -> List[FieldValue]:
+    return [FieldValue('valid', message.valid), *values,
+            FieldValue('age', message.last_frame_age_sec, 's', 2)]
 
 
 # Type to numbers. For any other type they are the numbers, flags and texts of its fields.
@@ -312,12 +272,14 @@ _VALUES = {
         FieldValue('smoke', m.smoke, '', 0),
         FieldValue('temperature', m.temperature, 'degrees C', 2),
         FieldValue('humidity', m.humidity, '%', 2)],
-    'serial_communication/McuStatus': _channels,
-    'serial_communication/McuStatus2': lambda m: [
+    'serial_communication/McuStatus': lambda m: _status(m, [
+        FieldValue(f'adc{channel}', getattr(m, f'adc{channel}'), '', 0, 0, 4095)
+        for channel in range(6)]),
+    'serial_communication/McuStatus2': lambda m: _status(m, [
         FieldValue('range 1', _millimetres(m.vl53_1), 'mm', 0),
         FieldValue('range 2', _millimetres(m.vl53_2), 'mm', 0),
         FieldValue('yaw', m.yaw, 'deg', 1), FieldValue('pitch', m.pitch, 'deg', 1),
-        FieldValue('roll', m.roll, 'deg', 1)],
+        FieldValue('roll', m.roll, 'deg', 1)]),
     'serial_communication/SteeringFeedback': lambda m: [
         FieldValue('steering angle', m.value, '', 0)],
     'serial_communication/Ticks': lambda m: [FieldValue('ticks', m.value, 'in 10 ms', 0)],
@@ -325,16 +287,8 @@ _VALUES = {
 }
 # Type to text. For any other type it is the text of its numbers.
 _WORDS = {
-    'sensor_msgs/Imu': _imu_words,
-    'sensor_msgs/Range': _range_words,
-    'serial_communication/McuStatus': lambda m: _status_words(
-        m, ' '.join(value.text() for value in _channels(m))),
-    'serial_communication/McuStatus2': lambda m: _status_words(
-        m, f'{m.vl53_1} and {m.vl53_2} mm, '
-        + ('angles unknown' if m.yaw != m.yaw else f'yaw {m.yaw:.1f} deg')),
     'serial_communication/SerialMsg': lambda m:
         f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}",
-    'serial_communication/SteeringFeedback': lambda m: f'{m.value} of 1024',
     'tf2_msgs/TFMessage': lambda m: ', '.join(
         f'{each.child_frame_id} in {each.header.frame_id}' for each in m.transforms),
     'diagnostic_msgs/DiagnosticArray': lambda m: '; '.join(

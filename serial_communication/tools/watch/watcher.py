@@ -11,6 +11,7 @@ from typing import Any, Callable, Dict, Iterable, Optional
 import roslib.message
 import rosgraph
 import rospy
+from diagnostic_msgs.msg import DiagnosticArray
 
 from .state import BridgeState, LinkState
 from .topics import DIAGNOSTICS, BridgeTopic, absolute, expected_links, published_topics
@@ -41,7 +42,6 @@ class Watcher:
         self._lock = threading.Lock()      # for the subscriptions
         self._subscribers: Dict[str, rospy.Subscriber] = {}     # by full name
         self._latest: Dict[str, bytes] = {}                     # by relative name
-        self._classes: Dict[str, Any] = {}                      # by type
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name='master watch', daemon=True)
 
@@ -57,18 +57,17 @@ class Watcher:
             self._unsubscribe(list(self._subscribers))
 
     def update(self, now: float) -> None:
-        """Update the rate of each topic, its latest message and its text."""
+        """Update the rate of each topic, and the text of its latest message."""
         for each in self._state.topics:
             each.measure(now)
             latest = self._latest.pop(each.topic.name, None)
             if latest is None:
                 continue
             try:
-                each.message = self.unpack(each.topic, latest)
-                each.words = each.topic.words(each.message)
+                each.words = each.topic.words(self.unpack(each.topic, latest))
             except Exception as error:  # pylint: disable=broad-except
                 # The message may be of another version of the type.
-                each.message, each.words = None, f'not as expected: {error}'
+                each.words = f'not as expected: {error}'
 
     def unpack(self, topic: BridgeTopic, data: bytes) -> Any:
         """Deserialize a message of a topic.
@@ -77,13 +76,15 @@ class Watcher:
             ValueError: the type is not installed here.
             Exception: whatever genpy raises where it is not of the topic's type.
         """
-        return self._class(topic.type)().deserialize(data)
+        found = roslib.message.get_message_class(topic.type)
+        if found is None:
+            raise ValueError(f'the type {topic.type} is not installed here')
+        return found().deserialize(data)
 
     # -- messages --------------------------------------------------------------------------
 
     def _receive(self, message: Any, name: str) -> None:
-        header = message._connection_header    # AnyMsg names its sender nowhere else
-        if header.get('callerid') != self._state.node:
+        if message._connection_header.get('callerid') != self._state.node:
             return
         each = self._state.topic(name)
         if each is not None:
@@ -93,7 +94,7 @@ class Watcher:
             if self._on_message:
                 self._on_message(each.topic, message._buff, now)
         if name == DIAGNOSTICS:                # each message is about one link
-            self._receive_links(self._class(header['type'])().deserialize(message._buff))
+            self._receive_links(DiagnosticArray().deserialize(message._buff))
 
     def _receive_links(self, message: Any) -> None:
         now = time.monotonic()
@@ -105,14 +106,6 @@ class Watcher:
                 self._state.set_link(name[:-len(' link')], LinkState(
                     ord(level) if isinstance(level, bytes) else level, status.message,
                     {pair.key: pair.value for pair in status.values}, now))
-
-    def _class(self, type_: str) -> Any:
-        if type_ not in self._classes:
-            found = roslib.message.get_message_class(type_)
-            if found is None:
-                raise ValueError(f'the type {type_} is not installed here')
-            self._classes[type_] = found
-        return self._classes[type_]
 
     # -- subscriptions ---------------------------------------------------------------------
 
@@ -154,7 +147,8 @@ class Watcher:
         registered = bool(published) or any(state.node in nodes for _name, nodes in services)
         if registered:
             types = dict(master.getTopicTypes())
-            state.set_parameters(self._parameters(master))
+            given = master.getParam(state.node) if master.hasParam(state.node) else {}
+            state.set_parameters(given if isinstance(given, dict) else {})
             state.expect_links(expected_links(state.parameters))
             state.set_topics(published_topics(
                 state.node, {name: types.get(name, '*') for name in published},
@@ -166,10 +160,3 @@ class Watcher:
                 self._unsubscribe(set(self._subscribers) & published - ours)
             self.subscribe()
         state.master_answered(registered, time.monotonic())
-
-    def _parameters(self, master: Any) -> Dict[str, Any]:
-        try:
-            given: Optional[Any] = master.getParam(self._state.node)
-        except rosgraph.MasterError:
-            given = None    # none are set
-        return given if isinstance(given, dict) else {}

@@ -1,5 +1,4 @@
 """rosrun serial_communication wire: explain, show and play back a serial line.
 
-Each program is a module, which `cli` selects. `lines` has the settings of a line, `show` formats
-its frames.
+Each program is a module, which `cli` selects.
 """

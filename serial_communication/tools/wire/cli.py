@@ -5,53 +5,39 @@ import signal
 import sys
 from typing import List, Optional
 
-from ...output import no_more_output, prepare_output
+from ...output import end_with_output, prepare_output
 from . import explain, listen, play
-from .show import WireError, print_note
+from .lines import WireError, note
 
 PROGRAMS = {'explain': explain, 'listen': listen, 'play': play}
 
 _DESCRIPTION = """\
-What is on a serial line, in bytes and in words.
+What is on a serial line, in bytes and in words. Each program below has a --help.
 
-  explain bytes                        wire explain arduino 03 08 02 00
-  show what a board sends              wire listen mcu /dev/ttyUSB0
-  play a recording to a bridge         wire play drive.bag mcu /tmp/board
-
-wire stands for  rosrun serial_communication wire , or scripts/wire in a checkout. Each program
-below has a --help.
+  wire explain arduino 03 08 02 00
+  wire listen mcu /dev/ttyUSB0
+  wire play drive.bag mcu /tmp/board
 """
 
 
 def main(arguments: Optional[List[str]] = None) -> int:
-    """Run the program that the command line names, and return the exit status.
-
-    A full disk or a closed pipe causes one line of output at most, not a traceback.
-    """
+    """Run the program that the command line names, and return the exit status."""
     prepare_output()
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)     # as Ctrl-C
     try:
-        try:
-            return _run(arguments)
-        finally:
-            sys.stdout.flush()     # or the interpreter does, and prints more than a line
+        return end_with_output(lambda: _run(sys.argv[1:] if arguments is None else arguments))
     except KeyboardInterrupt:
         return 130
     except WireError as error:
-        print_note(f'wire: {error}')
+        note(f'wire: {error}')
         return error.status
-    except BrokenPipeError:
-        no_more_output()
-        return 0
     except OSError as error:
-        no_more_output()
-        print_note(f'wire: {error.filename or "its output cannot be written"}: {error.strerror}')
+        note(f'wire: {error.filename or "its output cannot be written"}: {error.strerror}')
         return 1
 
 
-def _run(arguments: Optional[List[str]]) -> int:
-    arguments = sys.argv[1:] if arguments is None else arguments
+def _run(arguments: List[str]) -> int:
     # roslaunch adds __name:=… and remappings.
     arguments = [each for each in arguments if not re.match(r'[\w/~]+:=', each)]
     parser = argparse.ArgumentParser(prog='wire', description=_DESCRIPTION,

@@ -79,13 +79,7 @@ class Explainer:
         Args:
             request: of the bus, that the frame answers, if known; it says what the DATE means.
         """
-        decoder = self.decoder
-        decoder.reset()
-        before = decoder.received
-        frames = decoder.feed(raw)
-        size = decoder.front - before + decoder.needed if decoder.begun and not frames else 0
-        while decoder.pending:
-            frames += decoder.give_up()
+        decoder, frames = self.decoder, self.decode(raw)
         if not frames or isinstance(decoder, StreamDecoder) and raw[0] not in decoder.STARTS:
             return _Parts(raw).take_rest('noise', 'no frame begins with these bytes')
         if self._functions:
@@ -95,7 +89,22 @@ class Explainer:
             return _framed(raw, _MCU, {'TYPE': words}, layout, frames[0].message)
         if isinstance(decoder, (arduino.Decoder, arduino.BoardDecoder)):
             return self._cobs(raw, frames[0])
-        return _other(raw, frames[0], size)
+        parts, frame = _Parts(raw), frames[0]      # of a board of another package
+        parts.take(self._size or len(frame.raw), 'frame', '' if frame.cause else frame.text,
+                   frame.error)
+        return parts.take_rest('more', 'does not belong to the frame')
+
+    def decode(self, data: bytes) -> List[Frame]:
+        """The frames and noise in these bytes, of which nothing follows."""
+        decoder = self.decoder
+        decoder.reset()
+        before = decoder.received
+        frames: List[Frame] = decoder.feed(data)
+        # Of an incomplete frame, as far as is known.
+        self._size = decoder.front - before + decoder.needed if decoder.begun and not frames else 0
+        while decoder.pending:
+            frames += decoder.give_up()
+        return frames
 
     def _bus(self, raw: bytes, request: Any) -> List[Part]:
         is_long = raw[0] == bus.LONG_FLAG
@@ -179,18 +188,6 @@ def _framed(raw: bytes, form: _Format, words: Mapping[str, Mapping[int, str]],
         parts.found[index] = checksum._replace(
             error=(checksum.error and checksum.error + '; ') + f'should be 0x{right:02x}')
     return parts.take_rest('noise', 'bytes after the frame')
-
-
-def _other(raw: bytes, frame: Frame, size: int) -> List[Part]:
-    """The parts of a frame without a format here; `size` is that of an incomplete one."""
-    parts, layout = _Parts(raw), getattr(frame.message, 'LAYOUT', None)
-    if isinstance(layout, Layout) and frame.data and frame.data in frame.raw:
-        parts.take(frame.raw.index(frame.data), 'start')
-        parts.take_data(len(frame.data), 'data', layout, frame.message)
-        parts.take(len(frame.raw) - parts.at, 'end')
-    else:
-        parts.take(size or len(frame.raw), 'frame', '' if frame.cause else frame.text, frame.error)
-    return parts.take_rest('more', 'does not belong to the frame')
 
 
 class _Parts:

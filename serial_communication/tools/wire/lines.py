@@ -1,5 +1,6 @@
-"""The settings of a serial line from the command line, and a decoder for each direction."""
+"""A serial line as the command line has it: its settings, and a decoder for each direction."""
 import argparse
+import sys
 from typing import Any, Mapping, NamedTuple
 
 from ...boards import BOARDS, BoardError, description
@@ -7,9 +8,12 @@ from ...simulation.arguments import (board_packages, board_parameters, read_para
                                      url_argument)
 from ...boards.description import Description
 from ...framing.stream import Decoder
-from .show import WireError
 
-_MAX_BAUD = 10 ** 8
+
+class WireError(Exception):
+    """Ends the program; its text is one line for the user."""
+
+    status = 1     # exit status of the program
 
 
 class UsageError(WireError):
@@ -26,37 +30,27 @@ class Settings(NamedTuple):
     parameters: Mapping[str, Any] = {}       # the board's, as the bridge has them
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add LINK, and the options that change how its bytes are decoded."""
+def add_options(parser: argparse.ArgumentParser, with_port: bool = False) -> None:
+    """Add LINK and --config; and PORT with its baud rate."""
     parser.add_argument('link', metavar='LINK',
                         help='the protocol: ' + ', '.join(BOARDS) + ', a link of a board in '
                              '--config, or a package with a board')
     parser.add_argument('--config', default='', metavar='FILE',
                         help="the bridge's parameters, for its baud rates, its custom messages and "
                              'functions, and its boards of other packages')
-    parser.set_defaults(baud=0)
-
-
-def add_port(parser: argparse.ArgumentParser) -> None:
-    """Add PORT, and its baud rate."""
-    parser.add_argument('port', metavar='PORT', type=url_argument,
-                        help='a device, or whatever pyserial opens')
-    parser.add_argument('--baud', type=_baud, default=0, metavar='N',
-                        help="(that of --config, or the board's default)")
-
-
-def _baud(text: str) -> int:
-    value = int(text)
-    if not 0 < value <= _MAX_BAUD:
-        raise argparse.ArgumentTypeError(f'{text} baud is out of range (1 … {_MAX_BAUD})')
-    return value
+    parser.set_defaults(baud=None)
+    if with_port:
+        parser.add_argument('port', metavar='PORT', type=url_argument,
+                            help='a device, or whatever pyserial opens')
+        parser.add_argument('--baud', type=int, metavar='N',
+                            help="(that of --config, or the board's default)")
 
 
 def settings(options: argparse.Namespace) -> Settings:
     """Return the settings from the command line.
 
     Raises:
-        UsageError: the link is unknown, or --config cannot be used.
+        UsageError: the link is unknown, or --config or --baud cannot be used.
     """
     try:
         parameters = read_parameters(options.config) if options.config else {}
@@ -64,17 +58,24 @@ def settings(options: argparse.Namespace) -> Settings:
         board = next((each for each in others if each.name == options.link), None) \
             or description(options.link)
         own = board_parameters(parameters, board.name)
-        line = Settings(board, options.baud or board.baud_of(own), own)
+        if options.baud is not None:
+            own['baud'] = options.baud
+        line = Settings(board, board.baud_of(own), own)
         decoder(line, False)
     except BoardError as error:
         raise UsageError(f'there is no board {options.link}, only {", ".join(BOARDS)}; for a board '
                          'of another package give its package, or --config with the parameter '
                          f'`boards`: {error}') from None
     except (OSError, ValueError) as error:
-        raise UsageError(f'{options.config}: {error}') from None
+        raise UsageError(str(error)) from None
     return line
 
 
 def decoder(line: Settings, sent: bool) -> Decoder:
     """Return a decoder of what the board sends, or of what is `sent` to it."""
     return line.board.decoder(sent, line.parameters)
+
+
+def note(text: str) -> None:
+    """Print a line on standard error."""
+    print(text, file=sys.stderr)

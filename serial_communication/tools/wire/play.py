@@ -19,7 +19,7 @@ from typing import List, Tuple
 from ...framing.stream import CHECKSUM, FRAMING, OVERSIZE
 from ...transport.port import Port, PortBusy, PortError
 from . import lines
-from .show import WireError, print_note
+from .lines import WireError, note
 
 SUMMARY = 'send what a board sent, from a recording, at the recorded intervals'
 
@@ -29,9 +29,7 @@ _TYPE = 'serial_communication/SerialMsg'
 _RX = 0                  # as SerialMsg has it
 _PRINTED = re.compile(r'(\d\d):(\d\d):(\d\d\.\d+)(?: +\+[\d.]+ \w+)? +'
                       r'((?:[0-9a-f]{2} )*[0-9a-f]{2})(?:  .*)?\n?')
-_DAY = 86400.0
-_SET_BACK = 1.0          # s by which a frame is at least earlier than the one before if the clock
-#                          of the recording was set back
+_DAY = 86400.0           # s
 _NOT_WHOLE = (CHECKSUM, FRAMING, OVERSIZE)
 _LONGEST_WAIT = 1.0      # s that a read waits, at most: see listen.py
 
@@ -39,26 +37,22 @@ _LONGEST_WAIT = 1.0      # s that a read waits, at most: see listen.py
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `wire play`."""
     parser.add_argument('file', metavar='FILE', help='a bag, or what wire listen has printed')
-    lines.add_options(parser)
-    lines.add_port(parser)
+    lines.add_options(parser, with_port=True)
 
 
 def run(options: argparse.Namespace) -> int:
     """Play the recording and return the exit status."""
     line = lines.settings(options)
-    try:
-        with open(options.file, 'rb') as file:
-            is_bag = file.readline(100).startswith(b'#ROSBAG')
-        recorded = from_bag(options.file, line.board.name) if is_bag else printed(options.file)
-    except OSError as error:
-        raise WireError(f'{options.file}: {error.strerror}') from None
+    with open(options.file, 'rb') as file:
+        is_bag = file.readline(100).startswith(b'#ROSBAG')
+    recorded = from_bag(options.file, line.board.name) if is_bag else printed(options.file)
     frames = whole(recorded, line)
     if not frames:
         raise WireError(f'{options.file}: no frames of the link {line.board.name}')
     port = Port(options.port, line.baud)
     try:
         port.open()
-        print_note(f'{len(frames)} frames; {len(recorded) - len(frames)} invalid ones are left out')
+        note(f'{len(frames)} frames; {len(recorded) - len(frames)} invalid ones are left out')
         lost = _play(frames, port)
     except PortError as error:
         raise WireError(f'{options.port}: {error}') from None
@@ -70,30 +64,21 @@ def run(options: argparse.Namespace) -> int:
 
 
 def from_bag(path: str, link: str) -> Recorded:
-    """Return what the board of a link sent, from a bag.
-
-    Raises:
-        WireError: the bag cannot be read, or has no topic or several of that type.
-    """
+    """Return what the board of a link sent, from a bag; WireError if the bag cannot be read."""
     try:
         import rosbag
-    except ImportError:
-        raise WireError(f'{path} is a bag, and rosbag, which reads bags, is missing: source ROS, '
-                        'or sudo apt-get install python3-rosbag') from None
-    try:
         with rosbag.Bag(path) as bag:
             topics = [name for name, topic in bag.get_type_and_topic_info().topics.items()
                       if topic.msg_type == _TYPE]
-            if len(topics) == 1:
-                return [(message.header.stamp.to_sec(), bytes(message.frame))
-                        for _, message, _ in bag.read_messages(topics)
-                        if message.link == link and message.direction == _RX]
+            if len(topics) > 1:
+                raise ValueError(f'it has frames of several bridges, {", ".join(topics)}: rosbag '
+                                 'filter selects one')
+            return [(message.header.stamp.to_sec(), bytes(message.frame))
+                    for _, message, _ in bag.read_messages(topics)
+                    if message.link == link and message.direction == _RX] if topics else []
     except Exception as error:  # pylint: disable=broad-except
-        # rosbag raises anything for a damaged bag.
-        words = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise WireError(f'{path}: cannot be read: {words}') from None
-    raise WireError(f'{path}: has {len(topics)} topics with frames, not one: {", ".join(topics)}; '
-                    'rosbag record /serial_msg records one, rosbag filter selects one')
+        # rosbag raises anything for a damaged bag; ImportError: ROS is not sourced.
+        raise WireError(f'{path}: cannot be read: {error!r}'.splitlines()[0]) from None
 
 
 def printed(path: str) -> Recorded:
@@ -103,8 +88,8 @@ def printed(path: str) -> Recorded:
         for found in filter(None, map(_PRINTED.fullmatch, file)):
             hours, minutes, seconds, data = found.groups()
             at = int(hours) * 3600 + int(minutes) * 60 + float(seconds)
-            if frames:      # midnight
-                at += round((frames[-1][0] - at) / _DAY) * _DAY
+            while frames and at < frames[-1][0] - _DAY / 2:      # midnight
+                at += _DAY
             frames.append((at, bytes.fromhex(data)))
     return frames
 
@@ -123,18 +108,15 @@ def whole(recorded: Recorded, line: lines.Settings) -> Recorded:
 
 def _play(frames: Recorded, port: Port) -> int:
     """Send the frames at their intervals; return how many the port did not take."""
-    due, (latest, _) = time.monotonic(), frames[0]
+    due, before = time.monotonic(), frames[0][0]
     lost = 0
     for at, data in frames:
-        interval = at - latest
-        due += max(interval, 0.0)
-        if interval > 0 or interval < -_SET_BACK:
-            latest = at
-        while True:
-            wait = due - time.monotonic()
-            if wait <= 0:
-                break
+        due += max(at - before, 0.0)     # of a clock that was set back: at once
+        before = at
+        wait = due - time.monotonic()
+        while wait > 0:
             port.read(min(wait, _LONGEST_WAIT))      # what the bridge sends is dropped
+            wait = due - time.monotonic()
         try:
             port.write(data)
         except PortBusy:

@@ -1,1 +1,0 @@
-"""Runs a command while it borrows a port of the bridge, see cli.py."""
