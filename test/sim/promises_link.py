@@ -97,7 +97,7 @@ def errors_are_counted(e: Evidence) -> Verdicts:
     for time, report, _, _, tapped, _ in e.story.counted:
         causes = {key: value for key, value in report.items() if key.endswith(' errors')}
         if _is_calm(e) and not e.story.tasks:
-            yield 1, '' if not sum(causes[name] for name in names) else f'{causes} at {time:.3f}'
+            yield 1, '' if not any(causes.values()) else f'{causes} at {time:.3f}'
         if e.story.robot.tapped:
             for name in names:
                 count = sum(direction == _RX and cause + ' errors' == name
