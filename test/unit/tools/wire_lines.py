@@ -1,5 +1,6 @@
 """What the tests of `wire` share: vectors, damaged streams, and the settings of a link."""
 import json
+from pathlib import Path
 import os
 import random
 
@@ -10,13 +11,13 @@ from serial_communication.boards.bus import wire as bus
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire.lines import Settings
 
-ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+ROOT = str(Path(__file__).resolve().parents[3])
 LINKS = ('bus', 'arduino', 'mcu')
 
 
 def vectors(protocol):
     """The byte-exact vectors of one protocol."""
-    path = os.path.join(ROOT, 'test', 'boards', 'vectors', protocol + '.json')
+    path = os.path.join(ROOT, 'test', 'unit', 'boards', 'vectors', protocol + '.json')
     with open(path, encoding='utf-8') as file:
         return json.load(file)
 

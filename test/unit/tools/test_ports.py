@@ -27,7 +27,7 @@ from waiting import until
 
 pytestmark = pytest.mark.slow      # the program listens for seconds
 HERE = os.path.dirname(os.path.abspath(__file__))
-ROOT = os.path.dirname(os.path.dirname(HERE))
+ROOT = os.path.dirname(os.path.dirname(os.path.dirname(HERE)))
 PROGRAM = os.path.join(ROOT, 'scripts', 'ports')
 SYNC = bus.encode_request(bus.SYNC_REQUEST)
 MCU = b''.join(mcu.encode(mcu.SensorStatus(40, seq, 1.0, 2.0, 3.0), seq) for seq in range(10))
