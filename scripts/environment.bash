@@ -17,7 +17,7 @@ run      python3-dynamic-reconfigure=dynamic-reconfigure
 run      libdynamic-reconfigure-config-init-mutex-dev=dynamic-reconfigure
 run      python3-serial cmake make g++
 panel    python3-tornado python3-qrcode
-test     python3-rostest=rostest python3-rosbag=rosbag python3-pytest python3-hypothesis
+test     python3-rostest=rostest python3-rosbag=rosbag python3-pytest python3-pytest-xdist python3-hypothesis
 test     catkin-lint python3-flake8 mypy shellcheck libxml2-utils systemd socat
 bench    python3-psutil python3-tqdm python3-tabulate
 browser  chromium chromium-driver python3-selenium

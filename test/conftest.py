@@ -1,4 +1,4 @@
-"""For every test: the package from this checkout, and how long hypothesis searches.
+"""For every test: the package from this checkout, how long hypothesis searches, what runs together.
 
 SERIAL_COMMUNICATION_FUZZ_EXAMPLES=10000 makes each property try so many random examples;
 without it they are few, and the same in every run.
@@ -11,18 +11,28 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 pytest.register_assert_rewrite('protocol_cases', 'boards', 'fake_boards')
-
-sys.path.insert(0, os.path.join(os.path.dirname(os.path.abspath(__file__)), 'helpers'))
+_TEST = os.path.dirname(os.path.abspath(__file__))
+sys.path.insert(0, os.path.join(_TEST, 'helpers'))
 if importlib.util.find_spec('serial_communication') is None:
-    sys.path.insert(0, os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    sys.path.insert(0, os.path.dirname(_TEST))
+from progress import Progress  # noqa: E402  pylint: disable=wrong-import-position
 
 _EXAMPLES = os.environ.get('SERIAL_COMMUNICATION_FUZZ_EXAMPLES', '')
+settings.register_profile(
+    'here', max_examples=int(_EXAMPLES or 60), derandomize=not _EXAMPLES, print_blob=True,
+    deadline=None, database=None, suppress_health_check=[
+        HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much])
+settings.load_profile('here')
 
-settings.register_profile('quick', max_examples=60, derandomize=True)
-settings.register_profile('fuzz', max_examples=int(_EXAMPLES or 60), print_blob=True)
-for _name in ('quick', 'fuzz'):
-    settings.register_profile(
-        _name, settings.get_profile(_name), deadline=None, database=None,
-        suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large,
-                               HealthCheck.filter_too_much])
-settings.load_profile('fuzz' if _EXAMPLES else 'quick')
+
+def pytest_configure(config):
+    if not hasattr(config, 'workerinput'):      # a worker of pytest-xdist prints nothing
+        config.pluginmanager.register(Progress())
+
+
+def pytest_collection_modifyitems(items):
+    """What needs one emulated board, or one master, runs in one worker of pytest-xdist."""
+    for item in items:
+        part = item.nodeid.rpartition('test/')[2].split('/')[0]
+        if part in ('firmware', 'panel'):
+            item.add_marker(pytest.mark.xdist_group(part))

@@ -48,7 +48,7 @@ def name_of(kind: DecoderKind) -> str:
 
 def vectors(protocol: str) -> Dict[str, List[dict]]:
     """The byte-exact examples of one protocol."""
-    path = os.path.join(os.path.dirname(__file__), '..', 'boards', 'vectors',
+    path = os.path.join(os.path.dirname(__file__), '..', 'unit', 'boards', 'vectors',
                         protocol + '.json')
     with open(path, encoding='utf-8') as file:
         return json.load(file)

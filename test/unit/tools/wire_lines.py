@@ -1,5 +1,6 @@
 """What the tests of `wire` share: vectors, damaged streams, and the settings of a link."""
 import json
+from pathlib import Path
 import os
 import random
 
@@ -13,7 +14,8 @@ LINKS = ('bus', 'arduino', 'mcu')
 
 def vectors(protocol):
     """The byte-exact vectors of one protocol."""
-    with open(os.path.join(ROOT, 'test', 'boards', 'vectors', protocol + '.json')) as file:
+    path = os.path.join(ROOT, 'test', 'unit', 'boards', 'vectors', protocol + '.json')
+    with open(path, encoding='utf-8') as file:
         return json.load(file)
 
 
