@@ -45,8 +45,9 @@ class Progress:
             self._broken.add(report.nodeid)
             self._counts['failed'] += 1
 
-    def pytest_report_teststatus(self):
-        return '', '', ''       # no dots
+    def pytest_report_teststatus(self, report):
+        counts = report.when == 'call' or report.outcome != 'passed'
+        return report.outcome if counts else '', '', ''       # no dots
 
     def pytest_unconfigure(self):
         self._ended.set()

@@ -99,7 +99,7 @@ def test_it_waits_for_an_absent_port(start, tty, tmp_path):
     simulator = start('bus', '--port', str(name))
     simulator.until_said('waiting')
     name.symlink_to(tty[0])
-    simulator.until_said('open')
+    simulator.until_said(': open')
     assert_answers(tty[1])
     assert simulator.end() == 0
 

@@ -1,6 +1,5 @@
 """What the tests of `wire` share: vectors, damaged streams, and the settings of a link."""
 import json
-from pathlib import Path
 import os
 import random
 
