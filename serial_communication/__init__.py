@@ -1,6 +1,6 @@
 """The bridge between a ROS 1 robot and its boards on serial lines.
 
-doc/developing.md lists its layers, and which of them each may import.
+CONTRIBUTING.md lists its layers, and which of them each may import.
 """
 from pkgutil import extend_path
 

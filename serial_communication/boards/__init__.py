@@ -1,6 +1,6 @@
 """The boards: one folder each, the list of them, and their descriptions.
 
-doc/developing.md lists the files of a board's folder. The folder of a board of another package is
+CONTRIBUTING.md lists the files of a board's folder. The folder of a board of another package is
 elsewhere; its name is the package's import name. A board is imported only when it is asked for, so
 the simulators need no ROS.
 """

@@ -61,7 +61,7 @@ class Row:
     timeout: Optional[float] = None     # of a function, s; None: the board's
     repeatable: bool = False      # a function that may be sent again if its outcome is not known
     interrupts: bool = False      # a function that stops: sent at once, whatever is outstanding
-    motion: bool = False          # a command that moves something: see doc/protocols.md
+    motion: bool = False          # a command that moves something: see doc/rows.md
     newest: bool = False          # of the commands that wait, only the newest counts
     unit: str = ''                # of a setting
     description: str = ''

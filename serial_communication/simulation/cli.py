@@ -30,7 +30,7 @@ examples (each with  rosrun serial_communication  before it, or in a checkout wi
   simulator arduino --link /tmp/car --calibration-time 60
   simulator mcu --link /tmp/mcu --adc --rate 50
   simulator arduino --link /tmp/car --faults all --seed 7
-  simulator my_package --link /tmp/mine         a board of another package: see doc/developing.md
+  simulator my_package --link /tmp/mine         a board of another package: see CONTRIBUTING.md
 
 On a port that is there already, here one end of a pair of linked ports:
   socat pty,raw,echo=0,link=/tmp/ttyV0 pty,raw,echo=0,link=/tmp/ttyV1 &

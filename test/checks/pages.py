@@ -4,7 +4,8 @@ from pathlib import Path
 from typing import List, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / 'README.md', ROOT / 'firmware' / 'README.md', *sorted((ROOT / 'doc').glob('*.md'))]
+PAGES = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', ROOT / 'firmware' / 'README.md',
+         *sorted((ROOT / 'doc').glob('*.md'))]
 
 _FENCE = re.compile(r'^( *)```(\w*)[^\n]*\n(.*?)^\1```$', re.MULTILINE | re.DOTALL)
 _MARK = re.compile(r'<!-- (.*?) -->\s*$')

@@ -30,7 +30,8 @@ def shell_files() -> List[Path]:
 def python_files() -> List[Path]:
     """Return every Python file and program."""
     return [ROOT / 'setup.py', *sorted(PACKAGE.rglob('*.py')),
-            *sorted((ROOT / 'test').rglob('*.py')), *python_programs()]
+            *(path for folder in ('doc', 'test') for path in sorted((ROOT / folder).rglob('*.py'))),
+            *python_programs()]
 
 
 def name(path: Path) -> str:

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""The board of another package from doc/developing.md, built from the page, with every program."""
+"""The sample of a board of another package, doc/wind_sensor, with every program."""
 import os
 import re
 import shutil
@@ -17,8 +17,7 @@ from boards import (ERROR, OK, Output, PACKAGE, PATIENCE, Diagnostics, Line, Top
                     again_if_stalled, own_folder, program, until)
 from serial_communication.msg import SerialMsg
 
-PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'developing.md'
-_FILE = re.compile(r'<!-- file: (\S+) -->\n```\w+\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+SAMPLE = Path(__file__).resolve().parents[2] / 'doc' / 'wind_sensor'
 GUST = b'$WIMWV,090.0,R,012.5,M,A*2F\r\n'      # checked by hand: the XOR of all between $ and *
 TEXT = 'wind from 90 degrees, 12.5 m/s'
 PARTS = ['frame']
@@ -52,12 +51,11 @@ class ExternalBoard(unittest.TestCase):
         cls.addClassCleanup(shutil.rmtree, cls.folder, ignore_errors=True)
         cls.line = Line(os.path.join(cls.folder, 'wind')).plug()
         cls.addClassCleanup(cls.line.unplug)
-        for name, text in _FILE.findall(PAGE.read_text()):
-            path = Path(cls.folder, name)
-            path.parent.mkdir(exist_ok=True)
-            path.write_text(text.replace('/tmp/wind', cls.line.near))
         cls.config = f'{cls.folder}/wind.yaml'
-        cls.environment = dict(os.environ, PYTHONPATH=f'{cls.folder}:{os.environ["PYTHONPATH"]}')
+        Path(cls.config).write_text(
+            (SAMPLE / 'wind.yaml').read_text().replace('/tmp/wind', cls.line.near))
+        cls.environment = dict(os.environ,
+                               PYTHONPATH=f'{SAMPLE.parent}:{os.environ["PYTHONPATH"]}')
         # As if the sensor had announced it to a bridge that ran before.
         rospy.set_param('/serial_communication/wind/announced', {'gust': {'type': 32}})
         cls.launch = subprocess.Popen(['roslaunch', PACKAGE, 'bridge.launch',

@@ -17,8 +17,6 @@ from serial_communication.boards.arduino.wire import Ticks
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Release
 
-PAGE = os.path.join(os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__)))),
-                    'doc', 'flashing.md')
 # A command that has the port open for some seconds, or until SIGUSR1.
 BORROW = '''
 import serial, signal, sys, time

@@ -41,7 +41,7 @@ def _may_take_another_reply(e: Evidence, called: Called) -> bool:
 
 
 def calls_return(e: Evidence) -> Verdicts:
-    """A call returns within the timeouts of its tries, and the wait for its turn."""
+    """A call returns within the timeouts of its tries and the wait for its turn."""
     for called in e.story.calls:
         limit = max(5.0, 0.8) + called.longest + 3 * 0.8 + 0.3
         if e.story.ended is None or called.time + limit > e.story.ended:
@@ -53,7 +53,7 @@ def calls_return(e: Evidence) -> Verdicts:
 
 
 def a_sync_comes_first(e: Evidence) -> Verdicts:
-    """After an opening SYNC is sent until it is answered, and nothing else but a stop."""
+    """After an opening only SYNC and stops are sent until SYNC is answered."""
     for begin, end in e.openings if e.kind == 'bus' else ():
         answered = min((frame.time for frame in e.of_type(e.readable, SYNC)
                         if begin <= frame.time <= end), default=end)
@@ -64,7 +64,7 @@ def a_sync_comes_first(e: Evidence) -> Verdicts:
 
 
 def fences_precede_calls(e: Evidence) -> Verdicts:
-    """A fence, an ECHO that has returned, precedes every request that moves something."""
+    """An ECHO that has returned precedes every request that moves something."""
     if e.kind != 'bus' or not e.story.parameters['echo']:
         return
     echoes = e.of_type(e.readable, ECHO)
@@ -94,8 +94,7 @@ def stops_are_sent_at_once(e: Evidence) -> Verdicts:
 
 
 def stale_calls_are_refused(e: Evidence) -> Verdicts:
-    """A call from before the end of a stall, or 0.5 s after it, is not sent after it, unless it
-    only reads or stops."""
+    """What is called until 0.5 s after a stall is not sent, unless it reads or stops."""
     executed = executed_by(e)
     for begin, end in longer(e.stalls[0], 0.55) if e.kind == 'bus' else ():
         for called in e.story.calls:
@@ -139,7 +138,7 @@ def _timeout_of(frame: At) -> float:
 
 
 def one_request_is_outstanding(e: Evidence) -> Verdicts:
-    """At most one request is outstanding, but stops: the next waits for a reply or its time."""
+    """At most one request is outstanding, but for stops."""
     replies = [frame.time for frame in e.readable]
     halts = [frame.time for frame in e.wrote if frame.number == HALT]
     sent = _plain(e)
@@ -157,7 +156,7 @@ def one_request_is_outstanding(e: Evidence) -> Verdicts:
 
 
 def replies_are_used_for_their_request(e: Evidence) -> Verdicts:
-    """No late or doubled reply is used for another request: a call that echoes gets its data."""
+    """No late or doubled reply is used for another request."""
     for called in e.story.calls:
         if called.name in ('raw', 'level', 'echo') and told(called) == 'done' \
                 and not _may_take_another_reply(e, called):
@@ -167,7 +166,7 @@ def replies_are_used_for_their_request(e: Evidence) -> Verdicts:
 
 
 def readings_are_of_the_environment(e: Evidence) -> Verdicts:
-    """Every published reading was the reply to a request for one, once, in order."""
+    """Every published reading was the reply to a request for it, once, in order."""
     readings = decoded(e.story.device.board_sent, reply_at, [], anywhere=True)  # noise is sent, too
     sent = [frame for frame in readings if frame.type == OK and len(frame.data) == 6
             and frame.data[2:] != b'\0\0\x88\x13']
@@ -181,7 +180,7 @@ def readings_are_of_the_environment(e: Evidence) -> Verdicts:
 
 
 def moves_are_repeated_only_after_invalid(e: Evidence) -> Verdicts:
-    """What moves is sent again only after an INVALID, and an ECHO sent since that has returned."""
+    """What moves is sent again only after an INVALID and an ECHO that has returned since."""
     calls: Dict[Tuple, int] = {}
     for called in e.story.calls:
         calls[called.request] = calls.get(called.request, 0) + 1
@@ -204,7 +203,7 @@ def moves_are_repeated_only_after_invalid(e: Evidence) -> Verdicts:
 
 
 def readings_are_repeated(e: Evidence) -> Verdicts:
-    """A call that reads is sent 1 + retries times at most; so often before it is not known."""
+    """A call that reads is sent 1 + retries times before it is not known, and no more often."""
     halts = [frame.time for frame in e.wrote if frame.number == HALT]
     for called in e.story.calls:
         if called.name != 'level':
@@ -225,7 +224,7 @@ def readings_are_repeated(e: Evidence) -> Verdicts:
 
 
 def silence_is_a_fence(e: Evidence) -> Verdicts:
-    """bus/echo false: 20 ms of silence before each call, and no ECHO but those of callers."""
+    """With bus/echo false 20 ms of silence precede each call, and only callers send an ECHO."""
     if e.story.parameters['echo']:
         return
     reads = [chunk.time for chunk in e.story.device.bridge_read]
@@ -264,8 +263,8 @@ def _polls(e: Evidence) -> List[At]:
 
 
 def polls_go_on(e: Evidence) -> Verdicts:
-    """A poll that was answered is followed by the next one a period later, while no call is there;
-    whatever happens to one, the polls go on."""
+    """A poll follows the answered one a period later, unless a call is there; nothing ends the
+    polls."""
     period, sent = e.story.parameters['environment_period'], [each.time for each in _polls(e)]
     busy = [(called.time, called.ended or float('inf')) for called in e.story.calls] + [
         (frame.time, frame.time + 0.6) for frame in e.wrote if frame.number == HALT]
@@ -289,7 +288,7 @@ def polls_go_on(e: Evidence) -> Verdicts:
 
 
 def polls_do_not_pile_up(e: Evidence) -> Verdicts:
-    """Of three polls that are no repetitions the last one comes a period after the first."""
+    """Of three polls in a row the last comes at least a period after the first."""
     period, sent = e.story.parameters['environment_period'], _polls(e)
     answers = [time for time, *_ in e.story.robot.published]
     calls = [(called.time, called.ended or float('inf')) for called in e.story.calls
@@ -326,7 +325,7 @@ def calls_are_in_order(e: Evidence) -> Verdicts:
 
 
 def a_stop_ends_what_waits(e: Evidence) -> Verdicts:
-    """What moves and waits for its turn when a stop is called is not sent."""
+    """What moves and waits when a stop is called is not sent."""
     for halt in e.story.calls:
         if halt.name != 'halt' or told(halt) == 'refused':
             continue
@@ -340,8 +339,8 @@ def a_stop_ends_what_waits(e: Evidence) -> Verdicts:
 
 
 def calls_are_not_given_up(e: Evidence) -> Verdicts:
-    """A call is not given up while it may be served: it waits for others as long as a motion may
-    take, and 0.8 s for a link to be in step again."""
+    """A call waits for others as long as a motion may take, and 0.8 s for a board that does not
+    answer."""
     halts = [(called.time, called.time) for called in e.story.calls if called.name == 'halt']
     # The link sends these by itself, too.
     others = [called for called in e.story.calls if called.name not in ('halt', 'sync', 'echo')]
@@ -370,8 +369,8 @@ def calls_are_not_given_up(e: Evidence) -> Verdicts:
 
 
 def refused_calls_are_repeated(e: Evidence) -> Verdicts:
-    """A call that the board refused with INVALID 0x40 or 0x10 is the next one that is sent, up to
-    3 times, once an ECHO sent since has returned."""
+    """A call that got INVALID 0x40 or 0x10 is the next one that is sent, up to 3 times, once an
+    ECHO has returned."""
     if not e.story.parameters['echo']:
         return
     functions = [frame for frame in _plain(e) if frame.type == FUNCTION and frame.number != 0xFF]
@@ -447,7 +446,7 @@ def a_stop_is_repeated(e: Evidence) -> Verdicts:
 
 
 def unheard_moves_are_not_late(e: Evidence) -> Verdicts:
-    """A move that timed out with nothing received does not arrive later, on a tty."""
+    """On a tty, a move that timed out with nothing received does not arrive later."""
     if e.story.device.kind != 'tty':
         return
     reads = [chunk.time for chunk in e.story.device.bridge_read]
@@ -467,8 +466,8 @@ def unheard_moves_are_not_late(e: Evidence) -> Verdicts:
 
 
 def functions_are_announced(e: Evidence) -> Verdicts:
-    """A function that is announced is sent only after its board has announced it, since it opened;
-    no board is asked for an announcement that nobody said it has."""
+    """An announced function is sent only once its board has announced it since the opening, asked
+    only with bus/announcements."""
     for frame in e.wrote:
         if frame.type != FUNCTION:
             continue
@@ -485,7 +484,7 @@ def functions_are_announced(e: Evidence) -> Verdicts:
 
 
 def a_lost_synchronisation_is_restored(e: Evidence) -> Verdicts:
-    """After INVALID 0x10 the next request, but a stop, is SYNC."""
+    """After INVALID 0x10 the next request, but for a stop, is SYNC."""
     sent = _plain(e)
     for frame in e.of_type(e.read, INVALID):
         if frame.data[:1] != b'\x10':
@@ -501,8 +500,8 @@ def a_lost_synchronisation_is_restored(e: Evidence) -> Verdicts:
 
 
 def refusals_are_confirmed(e: Evidence) -> Verdicts:
-    """INVALID is told as refused only when an ECHO has returned since; what was not sent is told so
-    only if it was not."""
+    """INVALID is told as refused only when an ECHO has returned since; what was sent is never told
+    as not sent."""
     invalids = [frame.time for frame in e.of_type(e.readable, INVALID)]
     echoes = [frame.time for frame in e.of_type(e.readable, ECHO)]
     asked: Dict[Tuple, int] = {}
@@ -524,7 +523,7 @@ def refusals_are_confirmed(e: Evidence) -> Verdicts:
 
 
 def calls_end_with_their_port(e: Evidence) -> Verdicts:
-    """Where the port closes, an outstanding call is not known, at once."""
+    """When the port closes, an outstanding call is not known, at once."""
     for called in e.story.calls:
         sent = [frame.time for frame in e.wrote
                 if (frame.type, frame.number, frame.data) == called.request

@@ -28,7 +28,7 @@ def heartbeats_in_time(e: Evidence) -> Verdicts:
 
 
 def speed_0_first(e: Evidence) -> Verdicts:
-    """SPEED 0 is the first packet whenever the port opens, but for zeros of other motions."""
+    """After an opening SPEED 0 is sent first, but for other zeros."""
     for begin, end in e.openings:
         first = _first_but_zeros([frame for frame in e.wrote if begin <= frame.time <= end])
         if first:
@@ -42,12 +42,12 @@ def _first_but_zeros(frames: List[At]) -> Optional[At]:
 
 
 def speeds_are_commanded(e: Evidence) -> Verdicts:
-    """Every SPEED but 0 was commanded just then, saturated to ±1000, and is sent once."""
+    """Every SPEED but 0 was commanded just then, limited to ±1000, and is sent once."""
     return _commanded(e, 'speed', SPEED)
 
 
 def motions_are_commanded(e: Evidence) -> Verdicts:
-    """So was every motion of a row, and none leaves that a limit forbids."""
+    """Every motion of a row was commanded just then, is sent once, and keeps its limits."""
     return _commanded(e, 'drive', DRIVE)
 
 
@@ -88,7 +88,7 @@ def no_old_speed_arrives(e: Evidence) -> Verdicts:
 
 
 def speed_times_out(e: Evidence) -> Verdicts:
-    """SPEED 0 within speed_timeout + 50 ms of the last command."""
+    """SPEED 0 is sent within speed_timeout + 50 ms of the last command."""
     return times_out(e, SPEED)
 
 
@@ -147,7 +147,7 @@ def repeated(e: Evidence, type_: int) -> Verdicts:
 
 
 def a_stall_ends_with_speed_0(e: Evidence) -> Verdicts:
-    """SPEED 0 is the first packet after a stall of over 0.5 s, but for other zeros."""
+    """After a stall of over 0.5 s SPEED 0 is sent first, but for other zeros."""
     for begin, end in longer(e.stalls[1], 0.55):
         opened, closed = e.opening_of(end)
         first = _first_but_zeros([each for each in e.wrote if end < each.time <= closed])
@@ -173,7 +173,7 @@ def nothing_moves_while_stopped(e: Evidence) -> Verdicts:
 
 
 def nothing_follows_a_loan(e: Evidence) -> Verdicts:
-    """A lent port is left alone, and SPEED 0 is the last packet before."""
+    """SPEED 0 is the last packet before a loan; nothing is sent while it lasts."""
     for asked, until, name, task in e.story.tasks:
         if name != 'lend' or not task.answer or not task.answer[0]:
             continue
@@ -189,7 +189,7 @@ def nothing_follows_a_loan(e: Evidence) -> Verdicts:
 
 
 def a_calibrating_board_is_left_alone(e: Evidence) -> Verdicts:
-    """SPEED 0 precedes a calibration; until it is over nothing but heartbeats is sent."""
+    """SPEED 0 precedes a calibration; until it is over only heartbeats are sent."""
     ends = [time for time, on in e.story.robot.calibrating if not on]
     for frame in e.of_type(e.wrote, CALIBRATION):
         moving = [each for each in speeds(e)
@@ -206,7 +206,7 @@ def a_calibrating_board_is_left_alone(e: Evidence) -> Verdicts:
 
 
 def stale_commands_are_refused(e: Evidence) -> Verdicts:
-    """What is asked for within 0.5 s after a stall is refused, zeros excepted."""
+    """Until 0.5 s after a stall only zeros are accepted."""
     for begin, end in longer(e.stalls[1], 0.55):
         for command in e.story.commands:
             if end < command.time < end + FRESH - SLACK and not asks_for_zero(command):
@@ -215,8 +215,8 @@ def stale_commands_are_refused(e: Evidence) -> Verdicts:
 
 
 def values_are_of_this_board(e: Evidence) -> Verdicts:
-    """A value of an announced row is published only while its board is connected, and has announced
-    it since the opening."""
+    """Values of announced rows are published only once the board has announced them since the
+    opening."""
     if e.kind == 'bus' or not e.story.announces:
         return
     chunks = [frame.time for frame in e.of_type(e.readable, ANNOUNCEMENT)]
@@ -229,7 +229,7 @@ def values_are_of_this_board(e: Evidence) -> Verdicts:
 
 
 def announced_rows_wait(e: Evidence) -> Verdicts:
-    """Nothing announced is sent before the board has announced it since the opening."""
+    """No announced command is sent before the board has announced it since the opening."""
     if not e.story.announces or e.kind != 'arduino':
         return
     for frame in e.of_type(e.wrote, GRIPPER, DRIVE):
@@ -266,7 +266,7 @@ def _is_saturated(command: Command) -> bool:
 
 
 def commands_arrive_unchanged(e: Evidence) -> Verdicts:
-    """Values arrive unchanged, each once, in order, and none that was refused."""
+    """Commands arrive unchanged, once, in order, and none that was refused."""
     if any(e.story.device.damage_sent) or any(e.story.device.damage_received):
         return
     for name in 'steering', 'led', 'gripper':
@@ -280,7 +280,7 @@ def commands_arrive_unchanged(e: Evidence) -> Verdicts:
 
 
 def commands_arrive(e: Evidence) -> Verdicts:
-    """Every command that was accepted reaches the board of an open port."""
+    """Every accepted command reaches the board of an open port."""
     if any(e.story.device.damage_sent) or any(e.story.device.damage_received):
         return
     got: Dict[int, Dict[bytes, List[float]]] = {}
@@ -340,8 +340,8 @@ def refusals_are_true(e: Evidence) -> Verdicts:
 
 
 def calibrations_end(e: Evidence) -> Verdicts:
-    """A calibration ends with IMU data after a silence of 2 s, or after 5 s of data that goes on,
-    its timeout, or a reset; and not later."""
+    """A calibration ends with IMU data after 2 s of silence, after 5 s of data, its timeout or a
+    reset; not later."""
     limit = e.story.parameters['calibration_timeout']
     imu = [frame for frame in e.of_type(e.read, IMU)
            if len(frame.data) == 22 and not implausible(frame)]
@@ -371,8 +371,7 @@ def calibrations_end(e: Evidence) -> Verdicts:
 
 
 def calibrations_end_in_time(e: Evidence) -> Verdicts:
-    """The first IMU data after a silence of 2 s, or after 5 s of data that goes on, ends a
-    calibration at once."""
+    """The first IMU data after 2 s of silence, or 5 s of data, ends a calibration."""
     imu = [frame.time for frame in e.of_type(e.read, IMU)
            if len(frame.data) == 22 and not implausible(frame)]
     for start, end in e.calibrations:
@@ -410,7 +409,7 @@ def silences_were_observed(e: Evidence) -> Verdicts:
 
 
 def heartbeats_are_regular(e: Evidence) -> Verdicts:
-    """100 heartbeats a second, and never over 13 in 0.1 s, also after a stall."""
+    """There are 100 heartbeats a second, and never over 13 in 0.1 s."""
     beats = [frame.time for frame in e.of_type(e.wrote, HEARTBEAT)]
     # The link's thread closes a port that is lent, or a connection that is given up.
     lent = [stall for stall in e.stalls[0] if e.story.device.kind == 'network' or overlaps(
@@ -441,7 +440,7 @@ def the_end_is_speed_0(e: Evidence) -> Verdicts:
 
 
 def settings_wait_for_their_board(e: Evidence) -> Verdicts:
-    """No setting is sent that its board has not announced since the opening, if it announces."""
+    """No announced setting is sent before the board has announced it since the opening."""
     if e.kind == 'bus' or not e.story.announces:
         return
     for frame in e.of_type(e.wrote, SETTING):
@@ -456,7 +455,7 @@ def settings_wait_for_their_board(e: Evidence) -> Verdicts:
 
 
 def no_stop_without_a_cause(e: Evidence) -> Verdicts:
-    """No SPEED 0 sooner than speed_timeout after a speed, unless something asked for it."""
+    """No SPEED 0 is sent sooner than speed_timeout after a speed, unless asked for."""
     story, device = e.story, e.story.device
     asked = [command.time for command in story.commands
              if command.name == 'calibrate' or command.name == 'speed' and command.value == 0]
@@ -474,8 +473,8 @@ def no_stop_without_a_cause(e: Evidence) -> Verdicts:
 
 
 def dropped_output_ends_with_speed_0(e: Evidence) -> Verdicts:
-    """SPEED 0 is the first packet after dropped output, and after the settings of a tty were
-    restored, but while the board calibrates."""
+    """After dropped output or restored settings of a tty SPEED 0 is sent first, unless the board
+    calibrates."""
     for time in e.story.device.flushes + e.story.device.restorations:
         if overlaps(e.calibrations, time, time):
             continue

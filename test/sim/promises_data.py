@@ -64,7 +64,7 @@ def no_stale_value(e: Evidence) -> Verdicts:
 
 
 def frames_are_published(e: Evidence) -> Verdicts:
-    """Every valid frame is published, but in the time of a stall and just after it."""
+    """Every valid frame is published, but during a stall and just after it."""
     if e.kind == 'bus':
         return
     published: Dict[Tuple, List[float]] = {}
@@ -109,7 +109,7 @@ def are_implausible(type_: int, values: Tuple) -> bool:
 
 
 def stamps_are_of_the_read(e: Evidence) -> Verdicts:
-    """A stamp is of the read of the frame's last byte, or an earlier one that the board gave."""
+    """A stamp is that of the read of the last byte, or an earlier one by the board's clock."""
     reads = {chunk.time for chunk in e.story.device.bridge_read}
     for time, name, _values, stamp in e.story.robot.published:
         if name in ALL_NAMES:
@@ -120,7 +120,7 @@ def stamps_are_of_the_read(e: Evidence) -> Verdicts:
 
 
 def stamps_are_of_the_measurement(e: Evidence) -> Verdicts:
-    """With the board's time an undamaged line has stamps within 7 ms of the measurement."""
+    """With the board's clock, stamps on an undamaged line are within 7 ms of the measurement."""
     device, drift = e.story.device, e.story.drift
     if drift is None or any(device.damage_received) or e.events('noise', 'altered'):
         return
@@ -145,7 +145,7 @@ def stamps_are_of_the_measurement(e: Evidence) -> Verdicts:
 
 
 def silence_is_reported(e: Evidence) -> Verdicts:
-    """A silent sensor board: reports each second, and no value."""
+    """A silent sensor board is reported each second, without values."""
     if e.kind != 'mcu':
         return
     said = [time for time, *_ in e.story.robot.published]
@@ -190,7 +190,7 @@ def setting(name: str, value: float) -> bytes:
 
 
 def settings_are_sent(e: Evidence) -> Verdicts:
-    """A wanted setting is sent at once, and 0.2 s later again if the board has not reported it."""
+    """A wanted setting is sent at once, and after 0.2 s again unless the board has reported it."""
     if e.kind == 'bus' or e.story.announces:
         return
     wants: Dict[str, float] = {}
@@ -216,7 +216,7 @@ def settings_are_sent(e: Evidence) -> Verdicts:
 
 
 def settings_leave_room(e: Evidence) -> Verdicts:
-    """At most 20 frames with settings in any second."""
+    """At most 20 frames with settings are sent in any second."""
     times = [frame.time for frame in e.of_type(e.wrote, SETTING)] if e.kind != 'bus' else []
     for index, time in enumerate(times):
         count = sum(each < time + 1.0 for each in times[index:])
@@ -224,7 +224,7 @@ def settings_leave_room(e: Evidence) -> Verdicts:
 
 
 def the_port_is_opened_again(e: Evidence) -> Verdicts:
-    """A port that is back is opened within 1.2 s, and its board heard."""
+    """A port that is back is opened, and its board heard, within 1.2 s."""
     gone = e.events('unplugged')
     for begin, end in gone:
         if end + 1.3 > e.story.world.time - 1.0 or overlaps(

@@ -31,8 +31,8 @@ def _stalls(e: Evidence, loop: int = 0) -> Iterator[Interval]:
 
 
 def motions_begin_with_zero(e: Evidence) -> Verdicts:
-    """All zeros go out before the first heartbeat of an opening and after a stall; that of an
-    announced row as soon as its announcement counts."""
+    """All zeros precede the first heartbeat of an opening and after a stall; an announced motion's
+    is sent once announced."""
     zeros = [frame for frame in e.of_type(e.wrote, DRIVE) if is_zero(frame)]
     beats = e.of_type(e.wrote, HEARTBEAT)
     begins = e.story.device.openings + [end for _, end in longer(e.stalls[-1], 0.55)]
@@ -59,14 +59,14 @@ def _calibrates(e: Evidence, time: float) -> bool:
 
 
 def motions_stop(e: Evidence) -> Verdicts:
-    """The zero of a motion within speed_timeout + 50 ms of its last command; a zero that ends a
-    motion is repeated every 50 ms for 1 s, or until another command of it."""
+    """The zero of a motion is sent within speed_timeout + 50 ms of its last command, and repeated
+    as SPEED 0."""
     yield from times_out(e, DRIVE)
     yield from repeated(e, DRIVE)
 
 
 def motions_end_first(e: Evidence) -> Verdicts:
-    """The zeros of all motions precede a calibration, a loan, a reset, and the end."""
+    """All zeros precede a calibration, a loan, a reset and the end."""
     drives = e.of_type(e.wrote, DRIVE)
     before = [(frame.time, 'calibration') for frame in e.of_type(e.wrote, CALIBRATION)]
     before += [(asked, name) for asked, _, name, task in e.story.tasks
@@ -84,8 +84,7 @@ def motions_end_first(e: Evidence) -> Verdicts:
 
 
 def motions_are_saturated(e: Evidence) -> Verdicts:
-    """A motion beyond its limits is saturated, one that is not finite is its zero: none is refused
-    for its value."""
+    """A motion beyond its limits is sent as the limit, one that is not finite as the zero."""
     for command in e.story.commands:
         if command.name == 'drive':
             yield 1, '' if command.refused != 'value' else \
@@ -93,7 +92,7 @@ def motions_are_saturated(e: Evidence) -> Verdicts:
 
 
 def zeros_need_not_be_fresh(e: Evidence) -> Verdicts:
-    """A zero is taken also just after a stall."""
+    """A zero is accepted also just after a stall."""
     for command in e.story.commands:
         if command.value in (0, (0.0, 0.0)) and command.name != 'led':
             yield 1, '' if command.refused != 'stall' else \
@@ -101,8 +100,8 @@ def zeros_need_not_be_fresh(e: Evidence) -> Verdicts:
 
 
 def a_port_closes_for_a_cause(e: Evidence) -> Verdicts:
-    """A tty or pty is closed for its loss, a loan, a reset and the end alone: a doubt flushes it.
-    On the bus no port is opened again for a stall."""
+    """A tty or pty is closed for its loss, a loan, a reset and the end alone; no port of the bus
+    for a stall."""
     device = e.story.device
     causes = e.events('unplugged', 'cut') + [
         (asked, until + 0.4) for asked, until, _, _ in e.story.tasks]
@@ -120,7 +119,7 @@ def a_port_closes_for_a_cause(e: Evidence) -> Verdicts:
 
 
 def a_stalled_network_is_opened_again(e: Evidence) -> Verdicts:
-    """After a stall a network connection is reset and opened again, but that of the bus."""
+    """After a stall a network connection is opened again, but that of the bus."""
     if e.kind == 'bus' or e.story.device.kind != 'network':
         return
     for begin, end in _stalls(e):
@@ -143,8 +142,8 @@ def a_stall_drops_the_output(e: Evidence) -> Verdicts:
 
 
 def a_doubt_is_fenced(e: Evidence) -> Verdicts:
-    """After a stall, and where settings of its port were restored, an ECHO or SYNC returns before
-    the next request on the bus but a stop."""
+    """After a stall or restored settings an ECHO or SYNC returns before the next request but a
+    stop."""
     if not e.story.parameters.get('echo'):
         return
     doubts = e.story.device.restorations + [end for _, end in _stalls(e)]
@@ -161,8 +160,7 @@ def a_doubt_is_fenced(e: Evidence) -> Verdicts:
 
 
 def a_doubt_is_told(e: Evidence) -> Verdicts:
-    """A stall, and what another program changed, is told by a line, if there was none just before.
-    """
+    """A stall, and settings that another program changed, are told by a line."""
     lines = [time for time, level, _ in e.story.robot.said if level >= logging.WARNING]
     doubts = list(_stalls(e)) + [(each, each) for each in e.story.device.restorations]
     for begin, end in doubts:
@@ -173,7 +171,7 @@ def a_doubt_is_told(e: Evidence) -> Verdicts:
 
 
 def the_log_is_sparing(e: Evidence) -> Verdicts:
-    """The same line is not logged again within 10 s, whatever its numbers are."""
+    """The same line is not logged again within 10 s."""
     last: Dict[str, float] = {}
     for time, level, text in e.story.robot.said:
         words = re.sub(r'\(and .*|[0-9a-f]*\d[0-9a-f]*', '', text)
@@ -184,7 +182,7 @@ def the_log_is_sparing(e: Evidence) -> Verdicts:
 
 
 def rows_outlive_doubts(e: Evidence) -> Verdicts:
-    """On a port that stays open the rows of its board stay in use: a doubt does not end them."""
+    """While the port stays open, announced rows stay in use."""
     story = e.story
     seen: Tuple = ()        # the opening and the board of which the rows were in use
     for time, report in story.reports if story.announces else ():
@@ -198,7 +196,7 @@ def rows_outlive_doubts(e: Evidence) -> Verdicts:
 
 
 def an_unheard_move_is_a_doubt(e: Evidence) -> Verdicts:
-    """Where a move times out with nothing received since its request, what may wait is dropped."""
+    """When a move times out with nothing received, what may wait is dropped."""
     device = e.story.device
     reads = [chunk.time for chunk in device.bridge_read]
     for called in e.story.calls:
@@ -220,7 +218,7 @@ def an_unheard_move_is_a_doubt(e: Evidence) -> Verdicts:
 
 
 def a_silent_pty_takes_no_command(e: Evidence) -> Verdicts:
-    """While a pty is silent after its board talked, commands are refused until it is heard."""
+    """While a pty is silent after its board talked, commands are refused."""
     device = e.story.device
     if device.kind != 'pty':
         return
@@ -239,7 +237,7 @@ def a_silent_pty_takes_no_command(e: Evidence) -> Verdicts:
 
 
 def standing_output_takes_no_command(e: Evidence) -> Verdicts:
-    """While nothing leaves a tty commands are refused."""
+    """While nothing leaves a tty, commands are refused."""
     if e.story.device.kind != 'tty':
         return
     stands = merged(e.events('blocked'), 0.0)
@@ -253,7 +251,7 @@ def standing_output_takes_no_command(e: Evidence) -> Verdicts:
 
 
 def short_stalls_lose_nothing(e: Evidence) -> Verdicts:
-    """A stall of up to 0.4 s loses nothing: 0.5 s is one, for every link."""
+    """A stall of up to 0.4 s loses nothing."""
     counted = e.story.counted
     stalls = longer(merged(e.stalls[0] + e.stalls[-1], 0.11), 0.38)
     for (last, before, *_), (time, report, *_) in zip(counted, counted[1:]):
@@ -268,7 +266,7 @@ def short_stalls_lose_nothing(e: Evidence) -> Verdicts:
 
 
 def standing_output_is_dropped(e: Evidence) -> Verdicts:
-    """Where nothing has left a tty for 0.3 s, what waits is dropped."""
+    """If nothing has left a tty for 0.3 s, what waits is dropped."""
     device = e.story.device
     for begin, end in e.events('blocked') if device.kind == 'tty' else ():
         waits = next((chunk.time for chunk in device.bridge_wrote if begin < chunk.time < end),

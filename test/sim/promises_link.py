@@ -27,7 +27,7 @@ def _decoders(e: Evidence) -> Tuple:
 
 
 def sent_frames_are_tapped(e: Evidence) -> Verdicts:
-    """Every frame that is sent is passed to the tap, once and in order."""
+    """Every frame that is sent is in serial_msg, once, in order."""
     tapped = b''.join(raw for direction, raw, _ in e.story.robot.tapped if direction == _TX)
     if not e.story.robot.tapped or e.events('blocked', 'unplugged', 'cut') or len(
             e.openings) > 1:
@@ -39,7 +39,7 @@ def sent_frames_are_tapped(e: Evidence) -> Verdicts:
 
 
 def received_frames_are_tapped(e: Evidence) -> Verdicts:
-    """Every frame that is received is passed to the tap, once and in order."""
+    """Every frame that is received is in serial_msg, once, in order."""
     tapped = [decode(raw, _decoders(e)[0], True)[0] for direction, raw, cause in
               e.story.robot.tapped if direction == _RX and not cause]
     frames, index = e.readable, 0
@@ -57,7 +57,7 @@ def received_frames_are_tapped(e: Evidence) -> Verdicts:
 
 
 def bytes_are_counted(e: Evidence) -> Verdicts:
-    """`bytes received` and `bytes sent` are what was read and written, exactly."""
+    """`bytes received` and `bytes sent` are exact."""
     device = e.story.device
     for time, report, read, wrote, *_ in e.story.counted:
         for name, chunks in ('bytes received', device.bridge_read[:read]), (
@@ -70,8 +70,8 @@ def bytes_are_counted(e: Evidence) -> Verdicts:
 
 
 def frames_are_counted(e: Evidence) -> Verdicts:
-    """`frames received` and `frames sent` are those of the tap; calm, those of the line; and so are
-    `heartbeats sent`."""
+    """`frames received`, `frames sent` and `heartbeats sent` are those of serial_msg and of the
+    line."""
     beats, whole = e.of_type(e.wrote, HEARTBEAT), not e.events('blocked', 'unplugged', 'cut')
     for time, report, read, wrote, tapped, _ in e.story.counted:
         for name, sent in ('frames sent', e.wrote), ('heartbeats sent', beats):
@@ -92,7 +92,7 @@ def frames_are_counted(e: Evidence) -> Verdicts:
 
 
 def errors_are_counted(e: Evidence) -> Verdicts:
-    """Every invalid frame is counted by its cause, once; nothing is an error on a good line."""
+    """Every invalid frame is counted once, by its cause; a good line has no errors."""
     names = 'checksum errors', 'framing errors'
     for time, report, _, _, tapped, _ in e.story.counted:
         causes = {key: value for key, value in report.items() if key.endswith(' errors')}
@@ -109,8 +109,7 @@ def errors_are_counted(e: Evidence) -> Verdicts:
 
 
 def damage_is_counted(e: Evidence) -> Verdicts:
-    """What is damaged is counted once, by its cause: the counts are those that the definition of
-    the protocol gives."""
+    """The counts of errors are those that the definition of the protocol gives."""
     device, sent = e.story.device, {(each.type, each.number, each.data) for each in e.sent}
     # A stall, and the loss of a port, drop what is not counted yet. When noise that comes byte by
     # byte, or in which a frame seems to begin, is given up, depends on the reads.
@@ -210,7 +209,7 @@ def damaged_size(stream: bytes, at: int, is_mcu: bool) -> int:
 
 
 def lost_frames_are_counted(e: Evidence) -> Verdicts:
-    """Every frame of the sensor board that is lost is counted by its SEQ."""
+    """Every lost frame of the sensor board is counted, by its SEQ."""
     if e.kind != 'mcu':
         return
     # What waited during a stall is dropped by the bridge itself.
@@ -236,8 +235,7 @@ def lost_frames_are_counted(e: Evidence) -> Verdicts:
 
 
 def stale_bytes_are_counted(e: Evidence) -> Verdicts:
-    """What waited in a doubt is dropped and counted; without a doubt nothing is. On the bus it is
-    decoded."""
+    """What waits when the link begins anew is dropped and counted, on the bus decoded."""
     device, counted = e.story.device, e.story.counted
     stalls = longer(merged(e.stalls[0]), STALL)
     for (last, before, *_), (time, report, *_) in zip(counted, counted[1:]):
@@ -256,7 +254,7 @@ def stale_bytes_are_counted(e: Evidence) -> Verdicts:
 
 
 def conditions_are_true(e: Evidence) -> Verdicts:
-    """`condition`: closed, lent, stopped, calibrating, silent or ok, as it is."""
+    """`condition` is closed, lent, stopped, calibrating, silent or ok, as it is."""
     story = e.story
     changes = [(asked, until) for asked, until, _, _ in story.tasks]
     for time, report in story.reports:
@@ -301,8 +299,7 @@ def a_loan_is_told(e: Evidence) -> Verdicts:
 
 
 def a_silent_network_is_opened_again(e: Evidence) -> Verdicts:
-    """A network port without a byte for network_silence, after its board talked, is opened again,
-    and not sooner."""
+    """A network port that is silent for network_silence is opened again, not sooner."""
     if e.kind == 'bus' or e.story.device.kind != 'network':
         return
     limit, device = e.story.parameters['network_silence'], e.story.device
@@ -331,7 +328,7 @@ def reconnects_are_counted(e: Evidence) -> Verdicts:
 
 
 def settings_of_the_port_are_restored(e: Evidence) -> Verdicts:
-    """What another program changed of the settings of a tty is restored within 1.2 s."""
+    """Settings of a tty that another program changed are restored within 1.2 s."""
     for time, _ in e.events('altered'):
         opened, closed = e.opening_of(time)
         excused = closed < time + 1.2 or opened == float('inf') or overlaps(
@@ -342,7 +339,7 @@ def settings_of_the_port_are_restored(e: Evidence) -> Verdicts:
 
 
 def loans_are_fresh(e: Evidence) -> Verdicts:
-    """A loan or a reset from the time of a stall, or 0.5 s after it, is refused."""
+    """Until 0.5 s after a stall no loan and no reset is accepted."""
     for begin, end in longer(e.stalls[0], 0.55):
         for asked, _, name, task in e.story.tasks:
             if end < asked < end + FRESH - SLACK and task.answer:
@@ -398,7 +395,7 @@ def wanted_settings_return(e: Evidence) -> Verdicts:
 
 
 def damage_does_not_bend_the_line(e: Evidence) -> Verdicts:
-    """A damaged TIME makes no other stamp early, by more than 10 ms."""
+    """A damaged TIME makes no other stamp over 10 ms early."""
     device = e.story.device
     if e.story.drift is None or not any(device.damage_received) or e.kind != 'arduino':
         return

@@ -1,12 +1,17 @@
 """The judge: robots in virtual time, whose seeds decide all that happens to them."""
 import os
 import random
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import judge
 import pytest
+from invariants import ALL
 from mutants import MUTANTS, SEEDS, broken_by
+
+PAGE = Path(__file__).resolve().parents[2] / 'doc' / 'safety.md'
 
 _FIXED = 160        # seeds
 # What the judge has found in the bridge, by the seed that showed it.
@@ -59,3 +64,9 @@ def test_a_seed_gives_the_same_bytes_in_every_process():
 def test_a_broken_promise_is_found(name):
     with broken_by(name):
         assert broken(SEEDS[name])
+
+
+def test_the_page_lists_the_promises():
+    listed = PAGE.read_text().partition('### The car')[2].partition('### The node')[0]
+    items = [' '.join(item.split()) for item in re.findall(r'^- ((?:.|\n  )*)', listed, re.M)]
+    assert items == [' '.join(each.__doc__.split()).rstrip('.') for each in ALL]

@@ -1,4 +1,4 @@
-"""All faults at once, on real lines: checks the requirements of doc/reliability.md against a
+"""All faults at once, on real lines: checks the requirements of doc/safety.md against a
 running bridge.
 
 Half of the time the boards are on serial lines, then behind networks. After Ctrl-C it prints the

@@ -1,4 +1,4 @@
-// A button from pin 2 to ground: ~button is true while it is pressed. Any AVR or ESP32. See doc/sensors.md.
+// A button from pin 2 to ground: ~button is true while it is pressed. Any AVR or ESP32. See firmware/README.md.
 
 #include <PacketLink.h>
 

@@ -1,5 +1,5 @@
 // A buzzer without electronics of its own, from pin 8 through 100 Ohm to ground: ~buzzer is its tone in Hz, for a second
-// at most; 0 ends it. Any AVR. See doc/sensors.md.
+// at most; 0 ends it. Any AVR. See firmware/README.md.
 
 #include <PacketLink.h>
 

@@ -1,5 +1,5 @@
 // A base with two driven wheels on an ATmega328P (Nano, Uno): takes cmd_vel, sends odom, and announces both, so the
-// bridge needs no file. doc/diff_drive.md has the wiring, the first start, teleop, rviz and move_base.
+// bridge needs no file. doc/wheels.md has the wiring, the first start, teleop, rviz and move_base.
 //
 // Each wheel has a motor on an H-bridge, an encoder with two channels, and a PID controller of its speed. Both motors
 // are turned off 0.5 s after the last command, 30 ms after the last heartbeat, if the program hangs, and if a wheel

@@ -1,5 +1,5 @@
 // Up to six NeoPixels (WS2812) at pin 6 have the colour ~lights. It needs the library Adafruit NeoPixel. Any AVR or
-// ESP32. See doc/sensors.md.
+// ESP32. See firmware/README.md.
 //
 // On an AVR a pixel takes 30 us, with interrupts disabled: more than six would lose bytes of the bridge.
 

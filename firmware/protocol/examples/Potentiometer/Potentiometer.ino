@@ -1,5 +1,5 @@
 // A potentiometer at A0: ~knob is from 0 to 1, 50 times a second. Any AVR; an ESP32 with kReadings = 4, since its
-// converter has two bits more. See doc/sensors.md.
+// converter has two bits more. See firmware/README.md.
 
 #include <PacketLink.h>
 

@@ -1,5 +1,5 @@
 // A servo at pin 9 follows ~servo, in degrees, -90 … 90. It gets no pulses before the first command. Timer1 makes them
-// without the processor, so they do not tremble: ATmega328P (Nano, Uno). See doc/sensors.md.
+// without the processor, so they do not tremble: ATmega328P (Nano, Uno). See firmware/README.md.
 
 #include <PacketLink.h>
 

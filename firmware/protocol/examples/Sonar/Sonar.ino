@@ -1,5 +1,5 @@
 // An ultrasonic sensor HC-SR04, trigger at pin 7, echo at pin 2: ~sonar, 20 times a second; NaN without an echo. An
-// interrupt measures the echo, so loop() never waits. Any AVR. See doc/sensors.md.
+// interrupt measures the echo, so loop() never waits. Any AVR. See firmware/README.md.
 
 #include <PacketLink.h>
 
