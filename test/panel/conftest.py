@@ -1,4 +1,4 @@
-"""One roscore and one robot for all tests of the panel."""
+"""One roscore, robot and panel for the tests in a browser."""
 import os
 import sys
 import tempfile
@@ -6,17 +6,16 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'ros'))
-pytest.register_assert_rewrite('panel_helpers')
-
-from panel_helpers import TOKEN, Core, Panel, Robot, free_port  # noqa: E402
+sys.path[:0] = [str(Path(__file__).resolve().parent),
+                str(Path(__file__).resolve().parents[1] / 'ros')]
+pytest.register_assert_rewrite('robot')
+os.environ['ASYNC_TEST_TIMEOUT'] = '60'      # s that tornado's tests may take, on a busy machine
 
 
 @pytest.fixture(scope='session')
 def core():
-    """A roscore, which a test may restart; this process is a node."""
-    os.environ['ROS_MASTER_URI'] = f'http://localhost:{free_port()}'
-    os.environ['ROS_HOSTNAME'] = 'localhost'
+    """A roscore; this process is a node."""
+    from robot import Core
     core = Core()
     import rospy
     rospy.init_node('panel_test', disable_signals=True)
@@ -26,32 +25,42 @@ def core():
 
 
 @pytest.fixture(scope='session')
-def started_robot(core):
-    """The robot in the state of the last test; for `robot` and the panels."""
+def robot(core):
+    """A bridge with three boards that a test controls."""
+    from robot import Robot
     with tempfile.TemporaryDirectory(prefix='panel_') as folder:
         robot = Robot(folder)
         yield robot
         robot.end()
 
 
-@pytest.fixture(scope='module')
-def robot(started_robot):
-    """A bridge with three boards that a test controls, on lines that can be unplugged."""
-    started_robot.reset()
-    return started_robot
-
-
 @pytest.fixture(scope='session')
-def panel(started_robot):
-    """A panel that is read-only."""
-    with Panel(name='panel_read_only') as panel:
+def panel(robot):
+    """A panel that takes commands."""
+    from robot import Panel
+    with Panel('--control') as panel:
         yield panel
 
 
 @pytest.fixture(scope='session')
-def control_panel(started_robot, tmp_path_factory):
-    """A panel that takes commands, whose token is in a file."""
-    file = tmp_path_factory.mktemp('token') / 'token'
-    file.write_text(TOKEN + '\n')
-    with Panel('--control', '--token', f'@{file}', name='panel_control') as panel:
-        yield panel
+def chromium():
+    """A browser."""
+    if not os.path.exists('/usr/bin/chromedriver'):
+        pytest.skip('no browser: Ubuntu has chromium only as a snap, which no driver can start')
+    from panel_browser import Browser
+    browser = Browser()
+    yield browser
+    browser.quit()
+
+
+@pytest.fixture
+def page(chromium, panel, robot):
+    """The page of the panel; at the end, its console must have no error."""
+    chromium.open('about:blank')     # or only the part after # changes, and nothing is loaded
+    chromium.open(panel.url)
+    chromium.wait_for_text('#connection', 'live')
+    chromium.wait(lambda page: page.attribute('#stop', 'aria-pressed') == 'false', 'it may move')
+    robot.car.forget()
+    yield chromium
+    chromium.script('window.dispatchEvent(new Event("blur"))')
+    assert chromium.errors() == []

@@ -117,6 +117,7 @@ class BridgeState:
         self.registered: Optional[bool] = None     # whether the master knows the node
         self._agreed_at: float = 0.0        # when `registered` last agreed with what is received
         self.parameters: Dict[str, Any] = {}       # private ones, nested; empty until known
+        self.subscribed: Dict[str, str] = {}       # type of each topic that it subscribes to
         self.boards = boards_of({})                # by these parameters
         self._expected = list(topics)
         self.topics: List[TopicState] = [TopicState(topic) for topic in self._expected]

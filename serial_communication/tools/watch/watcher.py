@@ -154,6 +154,8 @@ class Watcher:
         registered = bool(published) or any(state.node in nodes for _name, nodes in services)
         if registered:
             types = dict(master.getTopicTypes())
+            state.subscribed = {name: types.get(name, '*') for name, nodes in subscribers
+                                if state.node in nodes}
             state.set_parameters(self._parameters(master))
             state.expect_links(expected_links(state.parameters))
             state.set_topics(published_topics(

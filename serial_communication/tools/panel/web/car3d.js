@@ -1,5 +1,5 @@
 /** The car in 3D on a canvas: boxes and wheels, painted from far to near. */
-import {colour, context} from './dom.js';
+import {colour} from './dom.js';
 
 const EYE = {distance: 6.2, up: 0.45, turn: 0.6};   // position of the viewer: up and turn in radians
 const LIGHT = [0.35, 0.5, 0.79];
@@ -57,9 +57,11 @@ function turned([x, y, z], {roll, pitch, yaw}) {
 
 /** Draw the car. Angles in radians; `steer` is that of the front wheels, positive to the left. */
 export function drawCar(canvas, attitude, steer) {
-  const area = context(canvas);
-  if (!area) return;
-  const {ctx, width, height} = area;
+  const {clientWidth: width, clientHeight: height} = canvas, ratio = window.devicePixelRatio || 1;
+  if (!width) return;
+  Object.assign(canvas, {width: width * ratio, height: height * ratio});    // this also clears it
+  const ctx = canvas.getContext('2d');
+  ctx.scale(ratio, ratio);
   const eye = [-Math.cos(EYE.up) * Math.cos(EYE.turn), -Math.cos(EYE.up) * Math.sin(EYE.turn),
     Math.sin(EYE.up)].map((each) => each * EYE.distance);
   const ahead = unit(less([0, 0, 0.1], eye)), right = unit(cross(ahead, [0, 0, 1]));
