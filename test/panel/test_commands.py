@@ -96,7 +96,7 @@ def test_the_base_is_driven_until_the_page_is_silent(panel):
 
 def test_the_car_stops_by_its_speed_alone(panel):
     panel.drive(**{'~speed': {'value': 200}, '~steering': {'value': 1900}})
-    panel.commands.release(PAGE, 1)
+    panel.commands.switch.release(PAGE, 1)
     assert panel.outlet.values('~speed') == [200, 0]
     assert len(panel.outlet.published) == 3
 
@@ -107,7 +107,7 @@ def test_the_car_stops_by_its_speed_alone(panel):
 def test_what_is_no_motion_or_out_of_range_does_not_drive(panel, values):
     with pytest.raises(CommandRefused):
         panel.drive(**values)
-    assert not panel.outlet.published and not panel.commands.end_driving()
+    assert not panel.outlet.published and not panel.commands.switch.hold
 
 
 def test_a_hold_ends_even_if_nothing_could_be_published(panel):

@@ -93,24 +93,21 @@ class Commands:
         self._clock = clock
         self._offered: Any = None       # what the next is made from
         self._forms: Dict[str, Form] = {}
-        self._switch = DeadManSwitch(self._zero)
+        self.switch = DeadManSwitch(self._zero)
         self._stops: List[Tuple[float, Dict[str, Any]]] = []    # when each must be answered
         self._calls = 0
         self._workers, self._stoppers = ThreadPoolExecutor(_AT_ONCE), ThreadPoolExecutor(_AT_ONCE)
 
     def tick(self, now: float, active: bool) -> None:
-        """Do what is due now; to be called at least every 50 ms.
-
-        Args:
-            active: whether a page is open: else the master is told of no publisher.
-        """
-        self._switch.check(now)
+        """Do what is due now, every 50 ms. While no page is open (`active`), nothing is
+        advertised."""
+        self.switch.check(now)
         for due, entry in self._stops[:]:
             if now >= due or 'outcome' in entry:
                 self._stops.remove((due, entry))
                 if entry.get('outcome') != Verdict.DONE.value:
                     self._zero(self._forms)
-        self._news.tell('state', 'drives', self._switch.hold is not None)
+        self._news.tell('state', 'drives', self.switch.hold is not None)
         offered = self._bridge.parameters, self._bridge.subscribed, active
         if offered != self._offered:
             self._offered = offered
@@ -123,15 +120,12 @@ class Commands:
     # -- calls and messages --------------------------------------------------------------------
 
     def send(self, key: str, seen: float, name: str, values: Dict[str, Any]) -> None:
-        """Call the service of a form, or publish its message.
+        """Call the service of a form, or publish its message; or raise CommandRefused.
 
         Args:
             key: by which the page recognises its command.
             seen: time of the latest update that the page had seen, s. A request that a network or
                 a suspended process has delayed must not move the robot.
-
-        Raises:
-            CommandRefused: nothing is sent.
         """
         if name not in self._forms:
             raise CommandRefused(f'{name[:40]!r} is not a command of the page')
@@ -148,7 +142,7 @@ class Commands:
     def stop(self, key: str) -> None:
         """STOP, at any time and however old the command is: end any page's driving, and call
         ~stop. Zeros are published if the bridge does not confirm it in time."""
-        self._switch.end()
+        self.switch.end()
         entry = self._entry(key, '~stop', {'data': True})
         self._stops.append((self._clock() + _STOP_ANSWER, entry))
         self._call(self._stoppers, '~stop', SetBool, SetBoolRequest(True), math.inf, entry)
@@ -195,35 +189,18 @@ class Commands:
     # -- driving -------------------------------------------------------------------------------
 
     def drive(self, page: Any, hold: int, seen: float, values: Dict[str, Dict[str, Any]]) -> None:
-        """Drive until the page has not repeated this for SILENCE.
+        """Drive until the page has not repeated this for SILENCE; or raise CommandRefused.
 
         Args:
             hold: number of the press that this command belongs to.
-            seen: time of the latest update that the page had seen, s.
-            values: of the commands to send, by field, by the name of the form.
-
-        Raises:
-            CommandRefused: nothing is sent.
+            seen: as of `send`.
+            values: of the commands to publish, by field, by the name of the form.
         """
         if any(name not in self._forms or self._forms[name].is_call for name in values):
             raise CommandRefused('the bridge has no such motion')
         messages = {name: self._forms[name].make(given) for name, given in values.items()}
-        self._switch.command(Hold(page, hold, tuple(values), self._clock()), seen)
+        self.switch.command(Hold(page, hold, tuple(values), self._clock()), seen)
         self._outlet.publish(messages)
-
-    def release(self, page: Any, hold: int) -> None:
-        """The page's pad is no longer held."""
-        self._switch.release(page, hold)
-
-    def forget(self, page: Any) -> None:
-        """The page is closed: stop its driving. Its calls continue."""
-        self._switch.forget(page)
-
-    def end_driving(self) -> bool:
-        """Stop if a page drives; return whether one did."""
-        drove = self._switch.hold is not None
-        self._switch.end()
-        return drove
 
     def _zero(self, names: Collection[str]) -> None:
         """Publish the zeros of the motions among these forms."""

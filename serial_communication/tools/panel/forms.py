@@ -68,9 +68,7 @@ class Form(NamedTuple):
         try:
             made = request_of(self.setting, given['value']) if self.setting else \
                 _filled(self.row, given) if self.row else self.ros_class._request_class(**given)
-            if not self.row:
-                made._check_types()
-            made.serialize(io.BytesIO())     # finds a number that its type cannot hold
+            made.serialize(io.BytesIO())     # finds what its type cannot hold
         except (ArithmeticError, TypeError, ValueError, struct.error,
                 genpy.SerializationError) as error:
             raise CommandRefused(str(error)) from None
@@ -89,8 +87,8 @@ class Form(NamedTuple):
 def _filled(row: RosRow, given: Dict[str, Any]) -> Any:
     """The message or request of a row with these values; ValueError if they are out of range."""
     layout, fields = row.row.layout, row.request or row.fields
-    values = [given[value.name] if value.name else 0 for value in layout.values]
-    values = [tuple(each) if isinstance(each, list) else each for each in values]
+    values = [tuple(each) if isinstance(each, list) else each for each in (
+        given[value.name] if value.name else 0 for value in layout.values)]
     reason = layout.implausible(values)
     if reason:
         raise ValueError(reason)

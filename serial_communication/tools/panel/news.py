@@ -1,7 +1,6 @@
 """What the pages are told: items in groups, each with the number of its latest change.
 
-A page that is told all that changed since its last update misses nothing that counts, however
-seldom it is updated: of an item it gets the newest value, never an old one.
+However seldom a page is updated, of an item it gets the newest value, never an old one.
 """
 from typing import Any, Collection, Dict, Tuple
 

@@ -1,27 +1,20 @@
 """The pages that are open, and the messages on their connections.
 
-Every message is one JSON object in strict JSON: no NaN, no Infinity, no number beyond a double.
-Times are seconds of this machine's monotonic clock.
-
-From the panel, 20 times a second, but not before the page has acknowledged the one before: a slow
-page gets fewer updates, and each has the newest of everything that has changed since. `now` is in
-every message, the groups of `news` only if there is something in them:
+Every message is one JSON object in strict JSON. Times are seconds of this machine's monotonic
+clock. From the panel, 20 times a second, but not before the page has acknowledged the one before: a
+slow page gets fewer updates, and each has the newest of everything that has changed since:
 
     now       when this was sent
     wall      what to add to a time for the time of the day, s
     control   (first message) whether the page may command
-    state     node      the bridge's name
-              trouble   why nothing new can be received from the bridge; '' if it can
-              titles    {link: what its board is}
-              topics    {topic: {type, fields, limit}} of everything with data that the bridge
-                        publishes; a field is [name, unit, digits, low, high]; `limit` is the age in
-                        s above which the values are stale (null: never)
-              forms     see `Form.described`
-              drives    whether a page drives
-    samples   {topic: [time, value of each field]}; a value that is not finite is a string
+    state     node; trouble (why nothing new can be received from the bridge); drives (whether a
+              page drives); titles {link: what its board is}; forms: see `Form.described`;
+              topics {topic: {type, fields, limit}}: a field is [name, unit, digits, low, high],
+              `limit` the age in s above which the values are stale (null: never)
+    samples   {topic: [time, value of each field]}; a number that is not finite is a string
     links     {link: {at, level, summary, values}}: its status in /diagnostics; null: none yet
     log       {number: [time, level, text]}: lines of the bridge
-    frames    {number: frame}: see `Feed`; only while this page shows the wire
+    frames    {number: frame}: see `feed`; only while this page shows the wire
     calls     {number: {number, key, name, values, began, outcome, words, took, reply}} of every
               page; without the last four while it is under way. `reply` has [field, value as text]
     refused   {key, words}: why a command of this page was not executed (alone in its message)
@@ -31,8 +24,7 @@ From the page, any of these in one message:
     seen      the `now` of the latest message received: acknowledges it
     wire      whether it shows the wire
     send      {key, name, values}: call the service of a form, or publish its message
-    stop      {key}
-    go        {key}: end of the stop
+    stop, go  {key}: STOP, and its end
     drive     {hold, values}: at least ten times a second while the pad is held; `hold` counts
               presses, `values` are those of the commands to send, by form and field
     release   {hold}
@@ -82,26 +74,27 @@ class Hub:
         """Send updates, for ever."""
         while True:
             await asyncio.sleep(_PERIOD)
-            try:
-                self.tick()
-            except Exception:  # pylint: disable=broad-except
-                self.log.error('fault', traceback.format_exc())
-                self.news.tell('state', 'trouble', 'the panel has failed; see its log')
+            self.tick()
 
     def tick(self) -> None:
         """Do what is due now, and send an update to each page that has acknowledged the last."""
         now = self.clock()
+        try:
+            self._update(now)
+        except Exception:  # pylint: disable=broad-except
+            self.log.error('fault', traceback.format_exc())
+            self.news.tell('state', 'trouble', 'the panel has failed; see its log')
+        for page in list(self.pages):
+            page.update(now)
+
+    def _update(self, now: float) -> None:
         if self.pages:
             self._active_until = now + _GRACE
         active = self.ros_runs and now < self._active_until
-        try:
-            if self.commands:
-                self.commands.tick(now, active)
-            self._feed.want(active, any(page.shows_wire for page in self.pages), now)
-            self._feed.update(now)
-        finally:
-            for page in list(self.pages):
-                page.update(now)
+        if self.commands:
+            self.commands.tick(now, active)
+        self._feed.want(active, any(page.shows_wire for page in self.pages), now)
+        self._feed.update(now)
 
 
 class Page(Guarded, WebSocketHandler):
@@ -132,7 +125,7 @@ class Page(Guarded, WebSocketHandler):
         """Stop its driving, and send it nothing more."""
         self._hub.pages.discard(self)
         if self._hub.commands:
-            self._hub.commands.forget(self)
+            self._hub.commands.switch.forget(self)
 
     def update(self, now: float) -> None:
         """Send what is new, unless the last update has not been acknowledged."""
@@ -194,7 +187,7 @@ class Page(Guarded, WebSocketHandler):
         elif name == 'drive':
             commands.drive(self, int(values['hold']), self._seen, dict(values['values']))
         else:
-            commands.release(self, int(values['hold']))
+            commands.switch.release(self, int(values['hold']))
 
 
 def _finite(text: str) -> float:

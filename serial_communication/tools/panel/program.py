@@ -23,8 +23,7 @@ import tornado.netutil
 from ...link.sparing_log import SparingLog
 from ...ros import logs
 from ...ros.background import LatestWorker
-from ...ros.master import (NAME_TAKEN, end_within, full_name, restart, running_node,
-                           watch_master)
+from ...ros.master import end_within, restart, watch_master
 from ..watch.master import wait_for_master
 from ..watch.state import BridgeState
 from .cli import DEFAULT_PORT, print_error
@@ -32,7 +31,7 @@ from .commands import Commands, Outlet
 from .feed import Feed
 from .news import News
 from .pages import Hub, Page
-from .server import Hosts, application, host_names
+from .server import application, own_names
 
 _NEXT_PORTS = 20          # that are tried after the default one
 _STOP_TIME = 0.2          # s for the last zeros to be sent
@@ -51,18 +50,8 @@ def _start_ros(stopping: threading.Event, ready: Callable[[], None], end: Callab
 
     if not wait_for_master(stopping, print_error):
         return
-    name = full_name('panel')
-    if running_node(name):
-        print_error(f'another node is named {name} at {rosgraph.get_master_uri()}; end it, or '
-                    f"name this one: __name:={name.rpartition('/')[2]}_2")
-        end(NAME_TAKEN)
-        return
     rospy.on_shutdown(ended)
-    try:
-        rospy.init_node('panel', disable_signals=True)
-    except rospy.ROSInitException:      # another node took the name meanwhile
-        ended()
-        return
+    rospy.init_node('panel', disable_signals=True)
     logs.queue_lines()
     watch_master(start_again)
     ready()
@@ -120,7 +109,7 @@ def _serve(options: argparse.Namespace) -> int:
         if options.control else None
     hub = Hub(Feed(bridge, worker, news), commands, news,
               SparingLog('panel', logging.getLogger('rosout')))
-    app = application(Page, hub, Hosts(options.bind, host_names()), token, port, secret)
+    app = application(Page, hub, own_names(options.bind), token, port, secret)
     server = tornado.httpserver.HTTPServer(app, max_body_size=_MAX_BODY, max_header_size=1 << 14,
                                            idle_connection_timeout=60)
     server.add_sockets(sockets)
@@ -145,8 +134,9 @@ def _serve(options: argparse.Namespace) -> int:
     loop.start()
 
     server.stop()
-    if commands and commands.end_driving():
-        time.sleep(_STOP_TIME)
+    for page in list(hub.pages):
+        page.on_close()
+    time.sleep(_STOP_TIME)
     if not statuses:
         restart({_BEFORE: f'{port} {token} {secret}'})
     stopping.set()

@@ -5,10 +5,10 @@ connection (pages.py), which needs the token: once, then a signed cookie.
 """
 import hmac
 import ipaddress
-import secrets
 import socket
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Dict, Iterable, Optional
+from typing import Any, Collection, Dict, Optional
 from urllib.parse import urlsplit
 
 import tornado.web
@@ -17,10 +17,11 @@ _WEB = Path(__file__).resolve().parent / 'web'
 _MAX_MESSAGE = 1 << 15   # bytes of a message from a page
 _PING = 3.0              # s between two pings, which find connections that are dead
 _POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; "
-           "connect-src 'self' {}; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+           "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
            "require-trusted-types-for 'script'; trusted-types 'none'")
-_HEADERS = {'X-Content-Type-Options': 'nosniff', 'X-Frame-Options': 'DENY', 'Server': 'panel',
-            'Referrer-Policy': 'no-referrer', 'Cross-Origin-Opener-Policy': 'same-origin',
+_HEADERS = {'Content-Security-Policy': _POLICY, 'X-Content-Type-Options': 'nosniff',
+            'X-Frame-Options': 'DENY', 'Server': 'panel', 'Referrer-Policy': 'no-referrer',
+            'Cross-Origin-Opener-Policy': 'same-origin',
             'Cross-Origin-Resource-Policy': 'same-origin', 'Cache-Control': 'no-cache'}
 
 
@@ -34,48 +35,35 @@ def _as_address(name: str) -> Any:
 
 def is_loopback(name: str) -> bool:
     """Whether only this machine can connect to what listens on this name or address."""
-    address = _as_address(name)
-    return name == 'localhost' or address is not None and address.is_loopback
+    return name == 'localhost' or getattr(_as_address(name), 'is_loopback', False)
 
 
-class Hosts:
-    """The names by which this machine may be asked.
+def own_names(bind: str) -> Collection[str]:
+    """The names by which this machine may be asked if the panel listens on this address.
 
     A page of another site can reach it only by a name of its own that resolves to this machine's
-    address (DNS rebinding), not by an address or a name of this machine. On loopback such a name
-    does not count, since it leads to a proxy or tunnel that others reach.
-
-    Args:
-        bind: the address or name that the panel listens on.
-        names: of this machine.
+    address (DNS rebinding), not by an address or a name of this machine. On loopback no name
+    counts, since it leads to a proxy or tunnel that others reach.
     """
-
-    def __init__(self, bind: str, names: Iterable[str]) -> None:
-        self._loopback_only = is_loopback(bind)
-        self._names = {bind.lower(), *(name.lower() for name in names)}
-
-    def allow(self, host: str) -> bool:
-        """Whether a request with this Host header may be answered."""
-        try:
-            name = (urlsplit('//' + host).hostname or '').rstrip('.')
-        except ValueError:
-            return False
-        return is_loopback(name) or not self._loopback_only and (
-            name in self._names or _as_address(name) is not None)
-
-
-def host_names() -> Iterable[str]:
-    """The names of this machine."""
     name = socket.gethostname()
-    return name, name.split('.')[0] + '.local', socket.getfqdn()
+    return () if is_loopback(bind) else {
+        each.lower() for each in (bind, name, name.split('.')[0] + '.local', socket.getfqdn())}
+
+
+def is_own(host: str, names: Collection[str]) -> bool:
+    """Whether a request with this Host header may be answered; `names` as `own_names`."""
+    with suppress(ValueError):
+        name = (urlsplit('//' + host).hostname or '').rstrip('.')
+        return is_loopback(name) or bool(names) and (
+            name in names or _as_address(name) is not None)
+    return False
 
 
 def is_of(origin: Optional[str], host: str) -> bool:
     """Whether a request with this Origin comes from a page of this host."""
-    try:
+    with suppress(ValueError):
         return origin is not None and urlsplit(origin).netloc.lower() == host.lower()
-    except ValueError:
-        return False
+    return False
 
 
 class Guarded(tornado.web.RequestHandler):
@@ -90,7 +78,7 @@ class Guarded(tornado.web.RequestHandler):
     async def prepare(self) -> None:
         """Check Host and Origin before the request is answered."""
         host, origin = self.request.host, self.request.headers.get('Origin')
-        if not self.settings['hosts'].allow(host):
+        if not is_own(host, self.settings['names']):
             self.refuse(403, f'Host {host[:80]!r} is not a name of this machine')
         elif (self.needs_origin or origin is not None) and not is_of(origin, host):
             self.refuse(403, f'it comes from a page of {(origin or "?")[:80]!r}')
@@ -110,16 +98,8 @@ class Guarded(tornado.web.RequestHandler):
 
     def set_default_headers(self) -> None:
         """Allow no foreign or inline content, and no embedding in a frame."""
-        host = self.request.host if self.settings['hosts'].allow(self.request.host) else ''
-        sockets = f'ws://{host} wss://{host}' if host.isprintable() and ' ' not in host else ''
-        for name, value in {'Content-Security-Policy': _POLICY.format(sockets),
-                            **_HEADERS}.items():
+        for name, value in _HEADERS.items():
             self.set_header(name, value)
-
-    def log_exception(self, typ: Any, value: Any, tb: Any) -> None:
-        """Log sparingly; a request for a missing file is not a fault of the panel."""
-        if not isinstance(value, tornado.web.HTTPError):
-            self.settings['log'].error('fault', f'a request failed: {value!r}'.split('\n')[0])
 
 
 class Token(Guarded):
@@ -141,18 +121,19 @@ class Files(Guarded, tornado.web.StaticFileHandler):
     """Serves the folder web/."""
 
 
-def application(page: Any, hub: Any, hosts: Hosts, token: str, port: int,
-                secret: str = '') -> tornado.web.Application:
+def application(page: Any, hub: Any, names: Collection[str], token: str, port: int,
+                secret: str) -> tornado.web.Application:
     """The page, its files and its connections.
 
     Args:
         page: the class of a page's connection.
+        names: of this machine: see `own_names`.
         port: names the cookie, since a browser sends those of all ports of a host.
-        secret: signs the cookies; '': a new one.
+        secret: signs the cookies.
     """
     settings: Dict[str, Any] = {
-        'hosts': hosts, 'token': token, 'cookie_name': f'panel_{port}',
-        'cookie_secret': secret or secrets.token_urlsafe(32), 'log': hub.log,
+        'names': names, 'token': token, 'cookie_name': f'panel_{port}',
+        'cookie_secret': secret, 'log': hub.log,
         'websocket_ping_interval': _PING, 'websocket_max_message_size': _MAX_MESSAGE,
         'log_function': lambda _handler: None}
     return tornado.web.Application(
