@@ -7,7 +7,6 @@ waits for the master.
 import math
 import time
 from collections import deque
-from itertools import islice
 from typing import Any, Deque, Dict, List, Optional, Tuple
 
 import rospy
@@ -27,7 +26,7 @@ _MOST = 100             # frames and log lines that are kept
 _MOST_BYTES = 300       # of a frame that are shown; those of the built-in boards are shorter
 _MOST_TEXT = 500        # characters of a text that are shown
 _MOST_SETTINGS = 20000  # … of those in /diagnostics with the values of all settings
-_MOST_FIELDS = 40       # of a topic
+_MOST_FIELDS = 24       # of a topic; covariances are no news for people
 _MOST_INTEGER = 2 ** 53     # a browser rounds larger integers
 _WITHOUT_CARD = 'tf2_msgs/TFMessage', 'diagnostic_msgs/DiagnosticArray'
 
@@ -115,7 +114,8 @@ class Feed:
         try:
             assert self._watcher, 'it was received'
             message = self._watcher.unpack(topic, packed)
-            return list(islice(topic.values(message), _MOST_FIELDS))
+            return [each for each in topic.values(message)
+                    if 'covariance' not in each.name][:_MOST_FIELDS]
         except Exception as error:  # pylint: disable=broad-except
             return [FieldValue('trouble', f'the message cannot be read: {error}')]
 

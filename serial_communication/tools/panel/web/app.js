@@ -24,7 +24,7 @@ const drive = new Drive(connection, model);
 const car = new Car();
 const wire = new Wire(connection);
 const log = new Log();
-const links = new Links(place('links'), (words) => { place('announcer').textContent = words; });
+const links = new Links(place('links'));
 const cards = [links, drive, commands, car, topics, wire, log];
 place('pause').addEventListener('click', () => {
   topics.hold(!topics.held);
@@ -39,8 +39,9 @@ let wall = 0;           // what to add to a time of the panel for the time of th
 function drawHead(now) {
   const alive = connection.alive;
   const stopped = model.stopped(now);
-  const words = [commands.stopTrouble(now), alive ? model.trouble : `no connection: ${connection.words}`,
-    stopped ? STOPPED : ''].filter(Boolean).join('; ');
+  const trouble = alive ? model.trouble : `no connection: ${connection.words}`;
+  const words = [commands.stopTrouble(now), trouble, stopped ? STOPPED : '']
+    .filter(Boolean).join('; ');
   setText(place('trouble'), words);
   setAttribute(place('trouble'), 'data-stopped', words === STOPPED || null);
   const health = !alive ? 'no connection' : model.trouble ? 'not live' : 'live';
@@ -50,8 +51,8 @@ function drawHead(now) {
   place('stop').hidden = !model.control;
   setAttribute(place('stop'), 'aria-pressed', String(stopped));
   setText(place('node'), model.node.replace(/^\//, '') || 'serial_communication');
-  const title = `${!alive ? '✕ no connection' : words ? `✕ ${words}` : worst(model, now)} · ${place('node').textContent}`;
-  if (document.title !== title) document.title = title;
+  const sign = !alive ? '✕ no connection' : words ? `✕ ${words}` : worst(model, now);
+  setText(document.querySelector('title'), `${sign} · ${place('node').textContent}`);
 }
 
 function draw() {
@@ -71,7 +72,9 @@ connection.addEventListener('update', ({detail: update}) => {
   wall = update.wall;
   model.take(update);
 });
-connection.addEventListener('refused', ({detail: {key, words}}) => { if (key === 'drive') drive.refused(words); });
+connection.addEventListener('refused',
+  ({detail: {key, words}}) => { if (key === 'drive') drive.refused(words); });
 setInterval(() => requestAnimationFrame(draw), NUMBERS);
-setInterval(() => requestAnimationFrame(() => { if (connection.alive) topics.drawPlots(connection.now() + wall); }),
-  PLOTS);
+setInterval(() => requestAnimationFrame(() => {
+  if (connection.alive) topics.drawPlots(connection.now() + wall);
+}), PLOTS);

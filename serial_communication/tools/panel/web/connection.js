@@ -1,5 +1,5 @@
 /**
- * The connection to the panel; pages.py describes its messages. It reconnects by itself. It also keeps
+ * The connection to the panel; pages.py describes its messages. It reconnects by itself, and keeps
  * the panel's clock, `now`, which continues while no update is received.
  */
 const SILENCE = 1.0;    // s without an update, after which the connection counts as lost
@@ -53,10 +53,11 @@ export class Connection extends EventTarget {
 
   _open() {
     this._socket?.close();
-    const socket = new WebSocket(`${location.protocol.replace('http', 'ws')}//${location.host}/socket`);
+    const socket = new WebSocket(`${location.origin.replace('http', 'ws')}/socket`);
     this._socket = socket;
     this._triedAt = seconds();
-    socket.onmessage = (event) => { if (socket === this._socket) this._take(JSON.parse(event.data)); };
+    socket.onmessage = (event) =>
+      { if (socket === this._socket) this._take(JSON.parse(event.data)); };
     socket.onclose = (event) => { if (socket === this._socket) this._closed(event.reason); };
   }
 

@@ -33,7 +33,8 @@ export function setAttribute(element, name, value) {
 }
 
 // A Map, since an announced unit may have any name, such as `constructor`.
-const UNITS = new Map([['deg', '°'], ['degrees C', '°C'], ['m/s^2', 'm/s²'], ['in 10 ms', '/10 ms']]);
+const UNITS = new Map([['deg', '°'], ['degrees C', '°C'], ['m/s^2', 'm/s²'],
+  ['in 10 ms', '/10 ms']]);
 
 export const unitOf = (name) => UNITS.get(name) ?? name;
 
@@ -44,7 +45,7 @@ export function formatNumber(value, digits = null) {
   if (value === null || value === undefined || Number.isNaN(value)) return '–';
   if (!Number.isFinite(value)) return value > 0 ? '∞' : '−∞';
   let text = digits !== null ? value.toFixed(digits)
-    : String(Number.isSafeInteger(value) ? value : Number(value.toPrecision(6)));
+    : String(Number.isSafeInteger(value) ? value : Number(value.toPrecision(5)));
   if (Number(text) === 0) text = text.replace('-', '');
   return text.replace('-', '−');
 }
@@ -60,7 +61,8 @@ const colours = new Map();
 export const darkMode = matchMedia('(prefers-color-scheme: dark)');
 export function colour(name) {
   if (!colours.has(name)) {
-    colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+    document.head.style.color = `var(${name})`;
+    colours.set(name, getComputedStyle(document.head).color);
   }
   return colours.get(name);
 }

@@ -1,5 +1,6 @@
 /** What the page knows of the bridge: the sum of all updates. */
 const KEPT = 12000;         // samples of a topic: 10 min at the rate of the updates, 20 Hz
+const MOST = 500;           // lines of the log, and frames
 const MINUTE = 60;
 const STATUS_PERIOD = 1;    // s between two statuses of a link
 const SPECIAL = new Map([['nan', NaN], ['inf', Infinity], ['-inf', -Infinity]]);
@@ -19,7 +20,8 @@ export class Topic {
       this.values = [];
     }
     Object.assign(this, {type, limit,
-      fields: (fields ?? []).map(([name, unit, digits, low, high]) => ({name, unit, digits, low, high}))});
+      fields: (fields ?? []).map(([name, unit, digits, low, high]) =>
+        ({name, unit, digits, low, high}))});
   }
 
   /** Take a sample; `wall` makes its time one of the day. */
@@ -31,7 +33,8 @@ export class Topic {
     if (gap) this._append(at + wall - 1e-3, this.values.map(() => null));
     this._append(at + wall, this.values.map((each) =>
       Number.isFinite(Number(each)) && each !== '' ? Number(each) : null));
-    if (this.columns[0].length > KEPT * 1.1) this.columns.forEach((each) => each.splice(0, each.length - KEPT));
+    if (this.columns[0].length < KEPT * 1.1) return;
+    for (const each of this.columns) each.splice(0, each.length - KEPT);
   }
 
   _append(time, numbers) {
@@ -66,7 +69,8 @@ class Link {
     const last = this._counts[this._counts.length - 1]?.[1];
     if ([...counts].some(([cause, count]) => count < last?.get(cause))) this._counts = [];
     this._counts.push([status.at, counts]);
-    while (this._counts.length > 2 && status.at - this._counts[1][0] >= MINUTE) this._counts.shift();
+    const old = this._counts.findIndex(([at]) => status.at - at < MINUTE) - 1;
+    this._counts.splice(0, Math.max(0, old));
   }
 
   /** The errors of the last minute: [cause, count]. */
@@ -80,14 +84,17 @@ class Link {
   stale(now) { return this.at === null || now - this.at > 3 * STATUS_PERIOD; }
 
   /** none (no status), ok, warn or error. */
-  health(now) { return this.stale(now) ? 'none' : ['ok', 'warn', 'error'][Math.min(this.level, 2)]; }
+  health(now) {
+    return this.stale(now) ? 'none' : ['ok', 'warn', 'error'][Math.min(this.level, 2)];
+  }
 }
 
 export class Model {
   constructor() { this._clear(); }
 
   _clear() {
-    Object.assign(this, {control: false, node: '', trouble: '', titles: {}, forms: {}, drives: false});
+    Object.assign(this,
+      {control: false, node: '', trouble: '', titles: {}, forms: {}, drives: false});
     this.topics ??= new Map();      // kept over a lost connection, for the plots
     this.links = new Map();
     this.log = [];
@@ -119,7 +126,7 @@ export class Model {
     this.log.push(...Object.values(update.log ?? {}));
     this.frames.push(...Object.values(update.frames ?? {}));
     for (const call of Object.values(update.calls ?? {})) this.calls.set(call.number, call);
-    for (const [list, most] of [[this.log, 100], [this.frames, 2000]]) list.splice(0, list.length - most);
+    for (const list of [this.log, this.frames]) list.splice(0, list.length - MOST);
     for (const number of this.calls.keys()) if (this.calls.size > 30) this.calls.delete(number);
   }
 
@@ -140,6 +147,7 @@ export class Model {
     if (this.trouble) return this.trouble;
     const link = this.links.get(name), condition = link?.values.condition;
     if (!link || link.stale(now)) return `the ${name} link has no status`;
-    return ['closed', 'lent', 'silent', 'calibrating'].includes(condition) ? `${name}: ${link.summary}` : '';
+    return ['closed', 'lent', 'silent', 'calibrating'].includes(condition)
+      ? `${name}: ${link.summary}` : '';
   }
 }

@@ -1,5 +1,6 @@
 /**
- * A moving plot of some fields of a topic, by uPlot. Dragging over it zooms in, which also stops it; a
+ * A moving plot of some fields of a topic, by uPlot. Dragging over it zooms in, which also stops
+ * it; a
  * double click, or the button of the page, lets it move again.
  */
 import {colour, darkMode, formatNumber, h, setText} from './dom.js';
@@ -12,7 +13,8 @@ export const MOST_CURVES = COLOURS.length;
 
 const visible = new WeakSet();      // figures
 const watcher = new IntersectionObserver((entries) => {
-  for (const {target, isIntersecting} of entries) visible[isIntersecting ? 'add' : 'delete'](target);
+  for (const {target, isIntersecting} of entries) visible[isIntersecting ? 'add'
+    : 'delete'](target);
 });
 
 export class Plot {
@@ -32,20 +34,24 @@ export class Plot {
     this._place.addEventListener('dblclick', () => this.hold(false));
     watcher.observe(this.element);
     new ResizeObserver(() => this._resize()).observe(this._place);
-    darkMode.addEventListener('change', () => { this._remove(); });
+    darkMode.addEventListener('change', () => {
+      this._plot?.destroy();
+      this._plot = null;
+    });
   }
 
-  /** Stand still, and keep the data; or move again. */
-  hold(held) {
+  /** Stand still, keep the data, and show the `whole` of it; or move again. */
+  hold(held, whole = true) {
     this._kept = held ? this._data().map((column) => column.slice()) : null;
-    if (held) this._plot?.setData(this._kept, false);
-    setText(this._words, held ? 'stands: double click to go on' : '');
+    if (held) this._plot?.setData(this._kept, whole);
+    this._point(null);
   }
 
   /** Draw the last seconds. */
   draw(end) {
-    if (this._kept || !visible.has(this.element) || !this._place.clientWidth) return;
+    if (!visible.has(this.element) || !this._place.clientWidth) return;
     if (!this._plot) this._make();
+    if (this._kept) return;
     this._plot.setData(this._data(), false);
     this._plot.setScale('x', {min: end - SPAN, max: end});
   }
@@ -59,45 +65,36 @@ export class Plot {
       width: this._place.clientWidth, height: Math.max(LEAST, this._place.clientHeight),
       legend: {show: false}, padding: [6, 8, 0, 0],
       cursor: {drag: {x: true, y: false}, points: {size: 6}},
-      scales: {x: {time: true}, y: {range: (_plot, low, high) => rangeOf(low, high)}},
+      scales: {y: {range: (_plot, low, high) => rangeOf(low, high, this._fields[0].digits ?? 3)}},
       axes: [{...axis, size: 18, space: 70, gap: 2, values: (_plot, ticks) =>
         ticks.map((each) => new Date(each * 1000).toTimeString().slice(0, 8))},
-        {...axis, size: 44, gap: 3, space: 24, values: (_plot, ticks) => ticks.map((each) => formatNumber(each))}],
-      series: [{}, ...this._fields.map((_field, index) => ({
-        stroke: colour(COLOURS[index]), width: 1.5 / devicePixelRatio * Math.round(devicePixelRatio),
-        points: {show: false}}))],
+        {...axis, size: 44, gap: 3, space: 24,
+          values: (_plot, ticks) => ticks.map((each) => formatNumber(each))}],
+      series: [{}, ...this._fields.map((_field, index) =>
+        ({stroke: colour(COLOURS[index]), width: 1.5, points: {show: false}}))],
       hooks: {
         setCursor: [(plot) => this._point(plot.cursor.idx)],
-        setSelect: [(plot) => { if (plot.select.width) this.hold(true); }]},
-    }, this._data(), this._place);
+        setSelect: [(plot) => { if (plot.select.width) this.hold(true, false); }]},
+    }, this._kept ?? this._data(), this._place);
   }
 
   /** Show the values under the pointer. */
   _point(index) {
-    const data = this._plot?.data;
-    if (!data || index === null || index === undefined) {
-      setText(this._words, this._kept ? 'stands: double click to go on' : '');
-      return;
-    }
-    setText(this._words, this._fields.map(({digits}, at) =>
-      formatNumber(data[at + 1][index], digits)).join(', '));
+    const values = (index ?? null) === null ? [] : this._fields.map(({digits}, at) =>
+      formatNumber(this._plot.data[at + 1][index], digits));
+    setText(this._words, values.join(', ') || (this._kept ? 'stands: double click to go on' : ''));
   }
 
   _resize() {
     const {clientWidth: width, clientHeight: height} = this._place;
     if (this._plot && width) this._plot.setSize({width, height: Math.max(LEAST, height)});
   }
-
-  _remove() {
-    this._plot?.destroy();
-    this._plot = null;
-  }
 }
 
-/** The limits of the axis: the data's, but not so near that noise looks large. */
-function rangeOf(low, high) {
+/** The limits of the axis: the data's, but at least a step of the last digit apart. */
+function rangeOf(low, high, digits) {
   if (low === null || !Number.isFinite(high - low)) return [0, 1];
   const middle = (low + high) / 2;
-  const half = Math.max(high - low, Math.abs(middle) * 1e-3, 1e-3) / 2 * 1.15;
+  const half = Math.max(high - low, Math.abs(middle) * 1e-3, 10 ** -digits) / 2 * 1.15;
   return [middle - half, middle + half];
 }

@@ -1,4 +1,4 @@
-/** The car in 3D, by the attitude and the steering that a bridge publishes; hidden where it has no car. */
+/** The car in 3D, by its attitude and steering; hidden where the bridge has no car. */
 import {drawCar} from '../car3d.js';
 import {card, h, setAttribute} from '../dom.js';
 
@@ -21,7 +21,8 @@ export class Car {
     setAttribute(this._canvas, 'data-state', imu.state(now));
     // More feedback is to the right.
     const steer = (1 - 2 * (steering.value('steering angle') ?? FULL / 2) / FULL) * MOST;
-    const shape = JSON.stringify([...angles.map(Math.round), steer.toFixed(2), this._canvas.clientWidth]);
+    const shape = JSON.stringify([...angles.map(Math.round), steer.toFixed(2),
+      this._canvas.clientWidth]);
     if (shape === this._drawn) return;
     this._drawn = shape;
     const [roll, pitch, yaw] = angles.map((each) => each * Math.PI / 180);

@@ -1,7 +1,7 @@
 /**
- * The commands, with --control: a form for each service, setting and custom command of the bridge, their
- * answers, and STOP. The one guard against accidental clicks: a button that was pressed is disabled until
- * its command is answered, and for as long as the second click of a double click may follow.
+ * The commands, with --control: a form for each service, setting and command of the bridge, their
+ * answers, and STOP. The one guard against accidental clicks: a button that was pressed is disabled
+ * until its command is answered, and for as long as the second click of a double click may follow.
  */
 import {card, formatAge, formatNumber, h, setText, unitOf} from '../dom.js';
 import {isOfPad} from './drive.js';
@@ -11,8 +11,8 @@ const STOP_ANSWER = 0.5;       // s that the bridge has to answer a STOP
 const STOP_SHOWN = 10;         // s for which a STOP that was not confirmed is shown
 const CLICK_OF_PRESS = 1000;   // ms after a press in which a click is the same press
 const SHOWN = 8;               // answers
-const READ_ONLY = 'This page only looks. A page with commands is served by “rosrun serial_communication panel '
-  + '--control”, and by “bridge.launch control:=true”.';
+const READ_ONLY = 'This page only looks. One with commands is served by '
+  + '“rosrun serial_communication panel --control” and by “bridge.launch control:=true”.';
 
 export class Commands {
   constructor(connection, model) {
@@ -20,11 +20,11 @@ export class Commands {
     this._model = model;
     this._presses = 0;
     this._pending = new Map();      // key -> {button, at, name, done}
-    this._own = [];                 // answers that the panel does not have
     this._forms = new Map();        // name -> Form
     this._stop = {at: -Infinity};   // the latest STOP of this page
     this._body = h('div', {class: 'forms'});
-    this._answers = h('ol', {class: 'answers', 'aria-label': 'answers, the latest first', 'aria-live': 'polite'});
+    this._answers = h('ol',
+      {class: 'answers', 'aria-label': 'answers, the latest first', 'aria-live': 'polite'});
     this.element = card('Commands', '', this._body, this._answers);
     this._go = document.getElementById('go');
     this._go.addEventListener('click', () => this.send(this._go, '~stop', {go: {}}));
@@ -33,8 +33,10 @@ export class Commands {
     connection.addEventListener('lost', () => this._lost());
   }
 
-  /** STOP is sent as soon as it is pressed. A touch may bring no click at all: a second finger, one that
-   * slips or one that stays. Only a key brings a click alone. */
+  /**
+   * STOP is sent as soon as it is pressed. A touch may bring no click at all: a second finger, one
+   * that slips or one that stays. Only a key brings a click alone.
+   */
   _listen(button) {
     let pressedAt = -Infinity;
     button.addEventListener('pointerdown', (event) => {
@@ -59,8 +61,9 @@ export class Commands {
     if (call?.outcome === 'done' || age > STOP_SHOWN && call?.outcome) return '';
     if (call?.outcome) return `STOP: ${call.words}`;
     if (age > STOP_SHOWN && !call) return '';
-    if (!this._stop.sent && age < STOP_SHOWN) return 'STOP was not sent: no connection to the panel';
-    return age < STOP_ANSWER ? '' : `STOP: no answer from the bridge for ${formatAge(age)}; zeros are sent`;
+    if (!this._stop.sent && age < STOP_SHOWN) return 'STOP was not sent: no connection';
+    return age < STOP_ANSWER ? ''
+      : `STOP: no answer from the bridge for ${formatAge(age)}; zeros are sent`;
   }
 
   _newKey() { return `${Date.now()}.${this._presses++}`; }
@@ -76,9 +79,10 @@ export class Commands {
     this._pending.set(key, {button, at: this._connection.now(), name, done});
   }
 
+  /** Show an answer that the panel does not have. */
   _tell(name, outcome, words) {
-    this._own.push({name, values: {}, outcome, words, took: 0, began: this._connection.now()});
-    this._own.splice(0, this._own.length - SHOWN);
+    this._model.calls.set(this._newKey(), {name, values: {}, outcome, words,
+      began: this._connection.now()});
   }
 
   _refused({key, words}) {
@@ -89,9 +93,10 @@ export class Commands {
   }
 
   _lost() {
-    for (const [key, {button, name}] of this._pending) {
+    for (const [key, {button, name, done}] of this._pending) {
       this._pending.delete(key);
       button.disabled = false;
+      done?.();
       this._tell(name, 'not known', 'the connection was lost before the answer; check the robot');
     }
   }
@@ -99,7 +104,8 @@ export class Commands {
   draw(model, now) {
     this._go.hidden = !model.control || !model.stopped(now);
     for (const [key, request] of this._pending) {
-      const answered = request.refused || [...model.calls.values()].some((call) => call.key === key && call.outcome);
+      const answered = request.refused
+        || [...model.calls.values()].some((call) => call.key === key && call.outcome);
       if (!answered || now - request.at < GUARD) continue;
       this._pending.delete(key);
       request.button.disabled = false;
@@ -114,7 +120,7 @@ export class Commands {
     this._list(model, now);
   }
 
-  /** Make the forms of the bridge. One that has not changed keeps its place, and what was entered. */
+  /** Make the forms. One that has not changed keeps its place, and what was entered. */
   _build(wanted) {
     if (wanted === this._built) return;
     this._built = wanted;
@@ -134,11 +140,12 @@ export class Commands {
   }
 
   _list(model, now) {
-    const all = [...model.calls.values(), ...this._own].sort((one, other) => other.began - one.began)
-      .slice(0, SHOWN);
-    const lines = all.map((call) => [call.outcome ?? 'under way', describe(call, model.forms), call.outcome
-      ? `${call.words ?? ''} ${(call.reply ?? []).map(([name, value]) => `${name}: ${value}`).join(', ')}`
-      : `for ${formatAge(now - call.began)}`]);
+    const all = [...model.calls.values()].sort((one, other) => other.began - one.began);
+    const lines = all.slice(0, SHOWN).map((call) => {
+      const reply = (call.reply ?? []).map(([name, value]) => `${name}: ${value}`).join(', ');
+      return [call.outcome ?? 'under way', describe(call, model.forms),
+        call.outcome ? `${call.words} ${reply}` : `for ${formatAge(now - call.began)}`];
+    });
     const shape = JSON.stringify(lines);
     if (shape === this._shown) return;
     this._shown = shape;
@@ -171,63 +178,65 @@ class Form {
     const choice = fields.find((field) => field.choices?.length);
     const send = (button, more = {}, done = null) => {
       if (!this._inputs.every(([field, input]) => check(field, input))) return;
-      const values = Object.fromEntries(this._inputs.map(([field, input]) => [field.name, valueOf(field, input)]));
+      const values = Object.fromEntries(this._inputs.map(([field, input]) =>
+        [field.name, valueOf(field, input)]));
       commands.send(button, name, {send: {name, values: {...values, ...more}}}, done);
     };
     const button = (words, more) => {
       const made = h('button', {type: 'button', onclick: () => send(made, more)}, words);
       return made;
     };
+    const set = h('button', {type: 'button'}, 'set');
     const parts = fields.filter((field) => field !== choice).map((field) => {
       const input = makeInput(field);
       this._inputs.push([field, input]);
       const beside = typeof field.preset === 'number' ? unitOf(field.unit) : limits(field);
-      return h('label', {}, fields.length > 1 && field.preset === null ? `${field.name} ` : '', input,
-        h('span', {class: 'note'}, ` ${beside}`));
+      const name = fields.length > 1 && field.preset === null ? `${field.name} ` : '';
+      return h('label', {}, name, input, h('span', {class: 'note'}, ` ${beside}`));
     });
-    if (fields.some(({kind}) => kind === 'other')) {
-      parts.splice(0, parts.length, h('span', {class: 'note'}, 'fields within fields: call it with rosservice'));
+    if (setting) {
+      parts.push(set, ...this._setting(setting, fields[0], send, set));
     } else if (choice) {
       parts.push(...choice.choices.map(([words, value]) => button(words, {[choice.name]: value})));
     } else {
-      parts.push(button(setting ? 'set' : fields.length ? isCall ? 'call' : 'send' : heading));
+      parts.push(button(fields.length ? isCall ? 'call' : 'send' : heading));
     }
-    if (setting) parts.push(...this._setting(setting, fields[0], send, parts[parts.length - 1]));
     const head = fields.length ? [h('h3', {title: about || null}, heading, ' ', this._reason)] : [];
     this.element = confirm
-      ? h('details', {class: 'form'}, h('summary', {}, `${heading} …`), h('p', {class: 'note'}, confirm), ...parts)
-      : h('div', {class: fields.length ? 'form' : 'form plain'}, ...head, h('div', {class: 'row'}, ...parts));
+      ? h('details', {class: 'form'}, h('summary', {}, `${heading} …`),
+        h('p', {class: 'note'}, confirm), ...parts)
+      : h('div', {class: fields.length ? 'form' : 'form plain'}, ...head,
+        h('div', {class: 'row'}, ...parts));
     this.element.dataset.form = name;
   }
 
-  /** The board's own value, and a slider between the limits. Its last value is sent, always: one that is
-   * chosen while another is under way is sent when that is answered. */
+  /**
+   * The board's own value, and a slider between the limits. Its last value is sent, always: what is
+   * chosen while another is under way is sent when that is answered.
+   */
   _setting(setting, field, send, button) {
     const [[, number]] = this._inputs;
     this._name = setting;
     this._board = h('b', {class: 'board-value'}, '?');
+    let again = false;
+    const sendLast = () => {
+      again = button.disabled;
+      if (!again) send(button, {}, () => { if (again) sendLast(); });
+    };
+    button.addEventListener('click', sendLast);
     const parts = [h('span', {class: 'note'}, 'board: ', this._board)];
-    if (field.kind === 'number' && field.low !== null && field.high !== null) {
-      const slide = h('input', {type: 'range', min: field.low, max: field.high, 'aria-label': setting,
-        step: field.whole ? '1' : String((field.high - field.low) / 500)});
-      let busy = false, again = false;
-      const sendLast = () => {
-        again = busy;
-        if (busy) return;
-        busy = true;
-        send(button, {}, () => { busy = false; if (again) sendLast(); });
-        busy = button.disabled;     // else nothing was sent
-      };
-      slide.addEventListener('input', () => { number.value = Number(Number(slide.value).toPrecision(6)); });
-      slide.addEventListener('change', sendLast);
-      number.addEventListener('input', () => { slide.value = number.value; });
-      this._inputs[0].push(slide);
-      parts.push(slide);
-    }
-    return parts;
+    const {low, high, whole} = field;
+    if (field.kind !== 'number' || low === null || high === null) return parts;
+    const slide = h('input', {type: 'range', min: low, max: high, 'aria-label': setting,
+      step: whole ? '1' : String((high - low) / 500), onchange: sendLast});
+    slide.addEventListener('input', () => { number.value = Number(slide.value).toPrecision(4); });
+    number.addEventListener('input', () => { slide.value = number.value; });
+    this._inputs[0].push(slide);
+    return [...parts, slide];
   }
 
   draw(model, now) {
+    this.element.hidden = !model.links.has(this._link);
     setText(this._reason, model.whyNot(this._link, now));
     if (!this._board) return;
     // From the values of /diagnostics: kp=2, ramp=?
@@ -245,10 +254,9 @@ class Form {
 
 function makeInput({name, kind, whole, low, high, preset}) {
   if (kind === 'bool') return h('input', {type: 'checkbox', 'aria-label': name});
-  const isNumber = kind === 'number';
-  return h('input', {type: isNumber ? 'number' : 'text', 'aria-label': name, value: preset ?? null,
-    min: isNumber ? low : null, max: isNumber ? high : null, step: isNumber ? whole ? '1' : 'any' : null,
-    inputmode: isNumber ? 'decimal' : null, required: isNumber});
+  if (kind !== 'number') return h('input', {type: 'text', 'aria-label': name});
+  return h('input', {type: 'number', 'aria-label': name, value: preset ?? null, min: low, max: high,
+    step: whole ? '1' : 'any', inputmode: 'decimal', required: true});
 }
 
 /** The unit and the limits of a field as text. */
@@ -256,13 +264,15 @@ function limits({kind, low, high, unit}) {
   if (kind === 'bool') return '';
   const range = low === null && high === null ? '' : low === null ? `≤ ${formatNumber(high)}`
     : high === null ? `≥ ${formatNumber(low)}` : `${formatNumber(low)} … ${formatNumber(high)}`;
-  return [unitOf(unit), range, kind === 'array' ? 'numbers with spaces' : ''].filter(Boolean).join(', ');
+  const list = kind === 'array' ? 'numbers with spaces' : '';
+  return [unitOf(unit), range, list].filter(Boolean).join(', ');
 }
 
 /** Whether the input is valid; otherwise the browser shows why. An empty field is not 0. */
 function check(field, input) {
   if (field.kind === 'array') {
-    input.setCustomValidity(valueOf(field, input).every(Number.isFinite) ? '' : `Enter numbers: ${limits(field)}`);
+    const right = valueOf(field, input).every(Number.isFinite);
+    input.setCustomValidity(right ? '' : `Enter numbers: ${limits(field)}`);
   }
   return input.reportValidity();
 }

@@ -1,46 +1,50 @@
 /**
- * The pad, a dead man's switch: the chosen motion goes on while the pad is held. It stops on release, on a
- * lost or slow connection, on a hidden tab and on blur. If this page hangs, the panel stops the motion
- * because no command is received; if the panel hangs, the bridge does.
+ * The pad, a dead man's switch: the chosen motion goes on while the pad is held. It stops on
+ * release, on a lost or slow connection, on a hidden tab and on blur. If this page hangs, the panel
+ * stops the motion because no command is received; if the panel hangs, the bridge does.
  *
- * The release of a key may never be reported: macOS does not report it while Cmd is held, and a remote
- * desktop may lose it. Therefore no key drives together with a modifier, and a key that no longer repeats
- * counts as released.
+ * The release of a key may never be reported: macOS does not report it while Cmd is held, and a
+ * remote desktop may lose it. Therefore no key drives together with a modifier, and a key that no
+ * longer repeats counts as released.
  */
 import {card, formatNumber, h, setAttribute, setText} from '../dom.js';
 
 const IDLE = 'hold to drive';
 const EVERY = 50;           // ms between two commands
 const SILENCE = 0.3;        // s without an update from the panel, after which the hold ends
+const SILENT = `no update from the panel for ${SILENCE} s`;
 const STOPPED = 'stopped until STOP is released';
 // By `code`, the position of the key: its `key` may differ at release (keypad with Shift).
 const KEYS = new Map([['ArrowUp', [0, 1]], ['ArrowDown', [0, -1]], ['ArrowLeft', [-1, 0]],
   ['ArrowRight', [1, 0]]]);
 const MODIFIERS = ['Alt', 'AltGraph', 'Control', 'Meta', 'Shift'];
-// Systems repeat the key that was pressed last. If its release is lost, the repeats end nevertheless.
-const FIRST_REPEAT = 3000;  // ms from a press to its first repeat, at most; Windows and macOS: up to 2 s
+// Systems repeat the key that was pressed last, also if its release is lost.
+const FIRST_REPEAT = 3000;  // ms to its first repeat, at most; Windows and macOS: up to 2 s
 const NEXT_REPEAT = 1000;   // ms between two repeats, at most; the slowest setting: 500 ms
 
-const SPEED = 'serial_communication/SpeedPWMCommand', STEERING = 'serial_communication/SteeringPWMCommand';
+const SPEED = 'serial_communication/SpeedPWMCommand';
+const STEERING = 'serial_communication/SteeringPWMCommand';
 const TWIST = 'geometry_msgs/Twist';
-const STRAIGHT = 1500;      // µs, the steering servo straight ahead; a longer pulse steers to the right
+const STRAIGHT = 1500;      // µs, of the steering servo; a longer pulse steers to the right
 
 /** Whether the pad drives by this form, which is then no form of the page. */
-export const isOfPad = ({type, motion}) => type === SPEED || type === STEERING || type === TWIST && motion;
+export const isOfPad = ({type, motion}) =>
+  type === SPEED || type === STEERING || type === TWIST && motion;
 
 /**
- * What the pad can drive: `cmd_vel` first. An axis is [unit, greatest value, value at first]; `values` are
- * those of the forms for a forward speed and a turn to the right.
+ * What the pad can drive: `cmd_vel` first. An axis is [unit, greatest value, value at first];
+ * `values` are those of the forms for a forward speed and a turn to the right.
  */
 function motionsOf(forms) {
   const found = [], named = (wanted) => Object.entries(forms).find(([, {type}]) => type === wanted);
   for (const [name, {type, motion, fields}] of Object.entries(forms)) {
     if (type !== TWIST || !motion) continue;
     const axis = (path, units, usual, first) => {
-      const most = fields.find((field) => field.name === path)?.high;
-      return [units, most > 0 ? Math.min(most, 100 * usual) : usual, Math.min(first, most > 0 ? most : usual)];
+      const most = Math.min(usual, fields.find((field) => field.name === path)?.high || usual);
+      return [units, most, Math.min(first, most)];
     };
-    found.push({name, forward: axis('linear.x', 'm/s', 1, 0.2), turn: axis('angular.z', 'rad/s', 2, 0.8),
+    found.push({name, forward: axis('linear.x', 'm/s', 3, 0.2),
+      turn: axis('angular.z', 'rad/s', 6, 0.8),
       values: (forward, turn) => ({[name]: Object.fromEntries(fields.map((field) =>
         [field.name, {'linear.x': forward, 'angular.z': -turn}[field.name] ?? 0]))})});
   }
@@ -49,7 +53,8 @@ function motionsOf(forms) {
   if (speed && steering) {
     found.push({name: 'car', forward: ['', 1000, 200], turn: ['µs', 1000, 400],
       values: (forward, turn) => Object.fromEntries([[speed, Math.round(forward)], [steering,
-        Math.round(STRAIGHT + turn)]].map(([[name, {fields}], value]) => [name, {[fields[0].name]: value}]))});
+        Math.round(STRAIGHT + turn)]].map(([[name, {fields}], value]) =>
+          [name, {[fields[0].name]: value}]))});
   }
   return found;
 }
@@ -71,14 +76,17 @@ export class Drive {
       'aria-label': 'driving pad: hold the arrow keys to drive, release them to stop',
       'aria-describedby': 'pad-words'}, this._knob);
     this._words = h('p', {id: 'pad-words', role: 'status'}, IDLE);
-    this._choice = h('select', {'aria-label': 'what the pad drives', onchange: () => this._choose()});
+    this._choice = h('select', {'aria-label': 'what the pad drives',
+      onchange: () => this._choose(this._choice.value)});
     this._limits = {};          // by axis: {input, words}
     const limit = (axis) => {
-      const input = h('input', {type: 'range', 'aria-label': `${axis}, at most`, oninput: () => this._show(axis)});
+      const input = h('input',
+        {type: 'range', 'aria-label': `${axis}, at most`, oninput: () => this._show(axis)});
       this._limits[axis] = {input, words: h('output')};
       return h('label', {class: 'row'}, `${axis} `, input, this._limits[axis].words);
     };
-    this.element = card('Drive', '', this._choice, this._pad, this._words, limit('forward'), limit('turn'));
+    this.element = card('Drive', '', this._choice, this._pad, this._words, limit('forward'),
+      limit('turn'));
     this.element.hidden = true;
     this._note = this.element.querySelector('.note');
     this._listen();
@@ -92,13 +100,14 @@ export class Drive {
     if (model.forms !== this._offered) {
       this._offered = model.forms;
       this._motions = motionsOf(model.forms);
-      const chosen = this._choice.value;
-      this._choice.replaceChildren(...this._motions.map(({name}) => h('option', {value: name}, name.replace('~', ''))));
-      if (this._motions.some(({name}) => name === chosen)) this._choice.value = chosen;
-      if (chosen !== this._choice.value) this._choose();
+      const before = this._choice.value;
+      this._choice.replaceChildren(...this._motions.map(({name}) =>
+        h('option', {value: name}, name.replace('~', ''))));
+      if (this._motions.some(({name}) => name === this._chosen)) this._choice.value = this._chosen;
+      if (before !== this._choice.value) this._choose();
     }
     this.element.hidden = !model.control || !this._motions.length;
-    if (this.held && this._connection.silence() > SILENCE) this._end(`no update from the panel for ${SILENCE} s`);
+    if (this.held && this._connection.silence() > SILENCE) this._end(SILENT);
     if (this.held && model.stopped(now)) this._end(STOPPED);
     setAttribute(this._pad, 'data-held', this.held || null);
     setText(this._note, model.drives && this._connection.alive ? 'a page drives' : '');
@@ -107,12 +116,13 @@ export class Drive {
   /** The panel refused a drive command. */
   refused(words) { this._end(words); }
 
-  _choose() {
+  _choose(chosen = this._chosen) {
+    this._chosen = chosen;      // by a person, so it stays
     this._end('another motion was chosen');
     if (!this._motion) return;
     for (const [axis, {input}] of Object.entries(this._limits)) {
       const [, most, preset] = this._motion[axis];
-      Object.assign(input, {min: most / 20, max: most, step: most / 20});
+      Object.assign(input, {min: most / 60, max: most, step: most / 60});
       input.value = preset;
       this._show(axis);
     }
@@ -161,7 +171,8 @@ export class Drive {
   _point(event) {
     const {left, top, width, height} = this._pad.getBoundingClientRect();
     const clip = (value) => Math.max(-1, Math.min(1, value));
-    this._at = [clip((event.clientX - left) / width * 2 - 1), clip(1 - (event.clientY - top) / height * 2)];
+    this._at = [clip((event.clientX - left) / width * 2 - 1),
+      clip(1 - (event.clientY - top) / height * 2)];
   }
 
   _keyDown(event) {
@@ -197,7 +208,8 @@ export class Drive {
   }
 
   _pointByKeys() {
-    this._at = [...this._keys].reduce(([x, y], code) => [x + KEYS.get(code)[0], y + KEYS.get(code)[1]], [0, 0]);
+    this._at = [...this._keys].reduce(([x, y], code) =>
+      [x + KEYS.get(code)[0], y + KEYS.get(code)[1]], [0, 0]);
   }
 
   _begin() {
@@ -217,7 +229,7 @@ export class Drive {
 
   _sendDrive() {
     if (this._connection.silence() > SILENCE) {
-      this._end(`no update from the panel for ${SILENCE} s`);
+      this._end(SILENT);
       return;
     }
     if (!this._motion) {
@@ -250,6 +262,7 @@ export class Drive {
   }
 
   _moveKnob(right, ahead) {
-    this._knob.style.transform = `translate(${(right * 50).toFixed(1)}cqmin, ${(-ahead * 50).toFixed(1)}cqmin)`;
+    const [x, y] = [right, -ahead].map((each) => `${(each * 50).toFixed(1)}cqmin`);
+    this._knob.style.transform = `translate(${x}, ${y})`;
   }
 }

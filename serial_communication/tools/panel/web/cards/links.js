@@ -12,7 +12,8 @@ class LinkCard {
     this._errors = h('p', {class: 'errors'});
     this._age = h('p', {class: 'note'});
     this._all = h('tbody');
-    this._details = h('details', {class: 'all'}, h('summary', {}, 'all diagnostics'), h('table', {}, this._all));
+    this._details = h('details', {class: 'all'}, h('summary', {}, 'all diagnostics'),
+      h('table', {}, this._all));
     this.element = card(name, '', h('div', {class: 'now'}, this._sign,
       h('div', {}, this._summary, this._port, this._errors, this._age)), this._details);
     this.element.dataset.link = name;
@@ -29,9 +30,11 @@ class LinkCard {
     setText(this._port, link.values.port ?? '');
     const errors = link.errors();
     setText(this._errors, errors.length
-      ? `errors in a minute: ${errors.map(([cause, count]) => `${cause} ${count}`).join(', ')}` : 'no errors');
+      ? `errors in a minute: ${errors.map(([cause, count]) => `${cause} ${count}`).join(', ')}`
+        : 'no errors');
     const age = Number(link.values['last frame age [s]']) + (stale ? now - link.at : 0);
-    setText(this._age, Number.isNaN(age) ? 'no frame yet' : age < 1 ? 'frames arrive' : `last frame ${formatAge(age)} ago`);
+    setText(this._age, Number.isNaN(age) ? 'no frame yet' : age < 1 ? 'frames arrive'
+      : `last frame ${formatAge(age)} ago`);
     if (!this._details.open || link.at === this._listed) return;
     this._listed = link.at;
     this._all.replaceChildren(...Object.entries(link.values).map(([key, value]) =>
@@ -41,11 +44,9 @@ class LinkCard {
 
 /** The cards of all links that are known. */
 export class Links {
-  constructor(place, announce) {
+  constructor(place) {
     this._place = place;
-    this._announce = announce;
     this._cards = new Map();
-    this._healths = new Map();
   }
 
   draw(model, now) {
@@ -55,9 +56,6 @@ export class Links {
         this._place.append(this._cards.get(name).element);
       }
       this._cards.get(name).draw(link, model.titles[name], now);
-      const health = link.health(now), before = this._healths.get(name);
-      if (before && health !== before) this._announce(`${name} link: ${health}, ${link.summary}`);
-      this._healths.set(name, health);
     }
     for (const [name, each] of this._cards) each.element.hidden = !model.links.has(name);
   }

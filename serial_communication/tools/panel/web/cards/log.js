@@ -8,7 +8,8 @@ export const timeOfDay = (seconds) => new Date(seconds * 1000).toLocaleTimeStrin
 
 export class Log {
   constructor() {
-    this._list = h('ol', {class: 'log', tabindex: '0', 'aria-label': 'log lines, the latest first'});
+    this._list = h('ol',
+      {class: 'log', tabindex: '0', 'aria-label': 'log lines, the latest first'});
     this.element = card('Log', '/rosout', this._list);
   }
 
@@ -16,7 +17,8 @@ export class Log {
     const lines = model.log.slice(-SHOWN).reverse();
     if (lines[0] === this._drawn && lines.length === this._list.children.length) return;
     this._drawn = lines[0];
-    this._list.replaceChildren(...lines.map(([at, level, text]) => h('li', {'data-level': LEVELS[level] ?? 'info'},
+    this._list.replaceChildren(...lines.map(([at, level, text]) =>
+      h('li', {'data-level': LEVELS[level] ?? 'info'},
       h('time', {}, timeOfDay(at + wall)), h('span', {}, text))));
   }
 }

@@ -20,9 +20,11 @@ class Reading {
     this._number = h('span', {class: 'number'}, '–');
     this._fill = h('span', {class: 'fill'});
     const bar = hasLimits(field) ? [h('div', {class: 'bar'}, this._fill)] : [];
-    this.element = h('div', {class: bar.length ? 'reading wide' : 'reading', 'data-reading': field.name},
-      h('span', {class: 'label'}, field.name),
-      h('span', {class: 'value'}, this._number, h('span', {class: 'unit'}, unitOf(field.unit))), ...bar);
+    this.element = h('div',
+      {class: bar.length ? 'reading wide' : 'reading', 'data-reading': field.name},
+      h('span', {class: 'label', title: field.name}, field.name.split('.').slice(-2).join('.')),
+      h('span', {class: 'value'}, this._number, h('span', {class: 'unit'}, unitOf(field.unit))),
+        ...bar);
   }
 
   draw(value) {
@@ -36,7 +38,7 @@ class Reading {
   }
 }
 
-/** A topic, and the numbers of those whose names continue its name: of ~imu also ~imu/temperature. */
+/** A topic, and the numbers of those whose names continue its: with ~imu also ~imu/temperature. */
 class TopicCard {
   constructor(topic) {
     this.topic = topic;
@@ -71,11 +73,13 @@ class TopicCard {
       if (fields.length < MOST_CURVES) fields.push({...field, at: index + 1});
     });
     this._readings = all.flatMap((from) => from.fields.map((field, index) => {
-      const name = from === topic || field.name !== 'data' ? field.name : from.name.split('/').pop();
+      const name = from === topic || field.name !== 'data' ? field.name
+        : from.name.split('/').pop();
       return [from, index, new Reading({...field, name})];
     })).filter(([, , {name}]) => !names.has(name) && names.add(name));
     this.plots = [...axes.values()].slice(0, MOST_PLOTS).map((fields) => new Plot(topic, fields));
-    this._body.replaceChildren(h('div', {class: 'readings'}, ...this._readings.map(([, , each]) => each.element)),
+    this._body.replaceChildren(h('div', {class: 'readings'},
+      ...this._readings.map(([, , each]) => each.element)),
       ...this.plots.map((each) => each.element));
   }
 }

@@ -1,7 +1,4 @@
-/**
- * The wire: the latest frames of serial_msg, with their stamps. serial_msg is subscribed to only while
- * this card is open.
- */
+/** The wire: the latest frames of serial_msg, which is subscribed to only while this is open. */
 import {h} from '../dom.js';
 
 const SHOWN = 16;           // frames
@@ -17,7 +14,8 @@ export class Wire {
       'aria-label': 'show only frames with these words', oninput: () => { this._drawn = 0; }});
     this._hide = h('input', {type: 'checkbox', checked: true, oninput: () => { this._drawn = 0; }});
     this._list = h('ol', {class: 'frames', 'aria-label': 'frames, the newest first'});
-    this.element = h('details', {class: 'card wire', ontoggle: () => connection.send({wire: this.element.open})},
+    this.element = h('details',
+      {class: 'card wire', ontoggle: () => connection.send({wire: this.element.open})},
       h('summary', {}, h('h2', {}, 'The wire'),
         h('span', {class: 'note'}, 'serial_msg, subscribed to while this is open; stamps are UTC')),
       h('div', {class: 'row'}, this._filter, h('label', {}, this._hide, ' hide heartbeats'),
@@ -38,7 +36,8 @@ export class Wire {
     for (let index = frames.length - 1; index >= 0 && shown.length < SHOWN; index--) {
       const [, link, sent, text, error] = frames[index];
       const all = `${link} ${sent ? '→ sent' : '← received'} ${text} ${error}`.toLowerCase();
-      if (words.every((word) => all.includes(word)) && !(this._hide.checked && text.startsWith('heartbeat'))) {
+      if (words.every((word) => all.includes(word))
+        && !(this._hide.checked && text.startsWith('heartbeat'))) {
         shown.push(frames[index]);
       }
     }
