@@ -154,13 +154,13 @@ class Watcher:
         registered = bool(published) or any(state.node in nodes for _name, nodes in services)
         if registered:
             types = dict(master.getTopicTypes())
-            state.subscribed = {name: types.get(name, '*') for name, nodes in subscribers
-                                if state.node in nodes}
             state.set_parameters(self._parameters(master))
             state.expect_links(expected_links(state.parameters))
             state.set_topics(published_topics(
                 state.node, {name: types.get(name, '*') for name in published},
                 state.parameters, state.boards))
+            state.subscribed = {name: types.get(name, '*') for name, nodes in subscribers
+                                if state.node in nodes}
             # A restarted master knows neither this node nor, at first, the bridge. Messages still
             # arrive over the old connections, which are kept until the bridge has registered.
             ours = {name for name, nodes in subscribers if rospy.get_name() in nodes}

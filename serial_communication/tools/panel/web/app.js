@@ -11,7 +11,7 @@ import {setAttribute, setText} from './dom.js';
 import {Model} from './model.js';
 
 const NUMBERS = 200;    // ms between two drawings
-const PLOTS = 500;      // … of the plots
+const PLOTS = 300;      // … of the plots
 const STOPPED = 'stopped until STOP is released';
 
 const place = (id) => document.getElementById(id);
