@@ -147,9 +147,6 @@ class Browser:
     def release(self):
         self._actions().release().perform()
 
-    def press(self, key):
-        self._actions().send_keys(key).perform()
-
     def key_down(self, key):
         self._key('keyDown', key)
 

@@ -74,8 +74,7 @@ def test_values_become_a_message_or_a_request(found):
     assert found['~lift'].make({'direction': 1, 'distance': 7}).distance == 7
     made = found['~settings/arduino/kp'].make({'value': 2})
     assert [each.value for each in made.config.doubles] == [2.0]
-    assert found['~settings/arduino/kp'].service('~settings/arduino/kp') == \
-        '~settings/arduino/set_parameters'
+    assert found['~settings/arduino/kp'].service == '~settings/arduino/set_parameters'
 
 
 @pytest.mark.parametrize('name, values, words', [

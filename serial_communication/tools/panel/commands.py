@@ -113,7 +113,7 @@ class Commands:
             self._offered = offered
             self._forms = forms(self._bridge.boards, self._bridge.parameters)
             self._outlet.want({name: form.ros_class for name, form in self._forms.items()
-                               if active and not form.is_call})
+                               if active and not form.service})
             self._news.tell('state', 'forms', {name: each.described()
                                                for name, each in self._forms.items()})
 
@@ -131,8 +131,8 @@ class Commands:
             raise CommandRefused(f'{name[:40]!r} is not a command of the page')
         deadline, form = self._deadline(seen), self._forms[name]
         made = form.make(values)
-        if form.is_call:
-            self._call(self._workers, form.service(name), form.ros_class, made, deadline,
+        if form.service:
+            self._call(self._workers, form.service, form.ros_class, made, deadline,
                        self._entry(key, name, values), form)
         else:
             self._outlet.publish({name: made})
@@ -183,8 +183,7 @@ class Commands:
         return entry
 
     def _tell(self, entry: Dict[str, Any]) -> None:
-        self._news.tell('calls', entry['number'], dict(entry))
-        self._news.keep('calls', _MOST_CALLS)
+        self._news.tell('calls', entry['number'], dict(entry), _MOST_CALLS)
 
     # -- driving -------------------------------------------------------------------------------
 
@@ -196,7 +195,7 @@ class Commands:
             seen: as of `send`.
             values: of the commands to publish, by field, by the name of the form.
         """
-        if any(name not in self._forms or self._forms[name].is_call for name in values):
+        if any(name not in self._forms or self._forms[name].service for name in values):
             raise CommandRefused('the bridge has no such motion')
         messages = {name: self._forms[name].make(given) for name, given in values.items()}
         self.switch.command(Hold(page, hold, tuple(values), self._clock()), seen)

@@ -29,34 +29,18 @@ class Form(NamedTuple):
     link: str           # that it needs
     ros_class: Any      # of the service, or of the message
     fields: List[Dict[str, Any]]     # see `_field`
+    service: str = ''   # its name; '': a message is published, which has no answer
     row: Any = None     # RosRow; None: the fields are those of the request
+    setting: Any = None     # the row of the setting that it sets
+    moves: bool = False     # its zero has to follow, since it moves something
     title: str = ''
     confirm: str = ''   # what to tell before it is called; '': nothing
-
-    @property
-    def setting(self) -> Any:
-        """The row of the setting that it sets; None: it sets none."""
-        return self.row.row if self.row and self.row.row.kind is Kind.SETTING else None
-
-    @property
-    def is_call(self) -> bool:
-        """False: a message is published, which has no answer."""
-        return not self.row or self.row.row.kind is not Kind.TO
-
-    @property
-    def moves(self) -> bool:
-        """Whether its zero has to follow, since it moves something."""
-        return bool(self.row) and self.row.row.motion
-
-    def service(self, name: str) -> str:
-        """The name of the service; `name` is that of the form."""
-        return f'~settings/{self.link}/set_parameters' if self.setting else name
 
     def described(self) -> Dict[str, Any]:
         """What the page needs to build it."""
         return {'link': self.link, 'fields': self.fields, 'title': self.title,
                 'type': self.ros_class._type, 'motion': self.moves, 'confirm': self.confirm,
-                'isCall': self.is_call,
+                'isCall': bool(self.service),
                 'setting': self.setting.name if self.setting else '',
                 'about': self.row.row.description if self.row else ''}
 
@@ -114,19 +98,21 @@ def forms(boards: Iterable[Description], parameters: Any) -> Dict[str, Form]:
                 values = row.row.layout.values if row else [
                     Value(name) for name in service_class._request_class.__slots__]
                 found[service.name] = Form(board.name, service_class, [
-                    _field(value, known.get(value.name, Field(''))) for value in values], row,
-                    service.title, service.confirm)
+                    _field(value, known.get(value.name, Field(''))) for value in values],
+                    service.name, row, title=service.title, confirm=service.confirm)
     return found
 
 
 def _form(board: Description, row: RosRow) -> Form:
     setting: Any = row.row
     if setting.kind is not Kind.SETTING:
-        return Form(board.name, row.ros_class, [_field(value) for value in row.row.layout.values
-                                                if value.name], row)
+        return Form(board.name, row.ros_class, [
+            _field(value) for value in row.row.layout.values if value.name],
+            row.name if setting.kind is Kind.FUNCTION else '', row, moves=setting.motion)
     value = setting.layout.values[1]._replace(minimum=setting.minimum, maximum=setting.maximum)
-    return Form(board.name, Reconfigure, [{**_field(value), 'name': 'value'}], row,
-                f'{board.name}: {row.row.name}')
+    return Form(board.name, Reconfigure, [{**_field(value), 'name': 'value'}],
+                f'~settings/{board.name}/set_parameters', row, setting,
+                title=f'{board.name}: {setting.name}')
 
 
 def _field(value: Value, known: Field = Field('')) -> Dict[str, Any]:

@@ -12,23 +12,19 @@ class News:
         self.number = 0     # of the latest change
         self._groups: Dict[str, Dict[Any, Tuple[int, Any]]] = {}
 
-    def tell(self, group: str, name: Any, value: Any) -> None:
-        """Set an item; the pages hear of it if it differs."""
+    def tell(self, group: str, name: Any, value: Any, most: int = 1000) -> None:
+        """Set an item, of a group that keeps the `most` newest; the pages hear of it if it
+        differs."""
         items = self._groups.setdefault(group, {})
         if name not in items or items[name][1] != value:
             self.number += 1
             items[name] = self.number, value
+            if len(items) > most:
+                del items[next(iter(items))]
 
     def add(self, group: str, value: Any, most: int) -> None:
-        """Add an item without a name of its own, of a group that keeps the `most` newest."""
-        self.tell(group, self.number + 1, value)
-        self.keep(group, most)
-
-    def keep(self, group: str, most: int) -> None:
-        """Forget all but the `most` newest items of a group."""
-        items = self._groups[group]
-        for name in list(items)[:max(0, len(items) - most)]:
-            del items[name]
+        """Add an item without a name of its own."""
+        self.tell(group, self.number + 1, value, most)
 
     def since(self, number: int, without: Collection[str] = ()) -> Dict[str, Dict[Any, Any]]:
         """What has changed since the change of this number; 0: everything."""

@@ -115,7 +115,7 @@ class Page(Guarded, WebSocketHandler):
     def open(self, *_arguments: str, **_more: str) -> None:
         """Let the page in, or close the connection with the reason, which a page cannot read from
         a refused request."""
-        if self.has_cookie:
+        if self.get_secure_cookie(self.settings['cookie_name']):
             self.set_nodelay(True)
             self._hub.pages.add(self)
         else:

@@ -8,7 +8,7 @@ import ipaddress
 import socket
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Collection, Dict, Optional
+from typing import Any, Collection, Optional
 from urllib.parse import urlsplit
 
 import tornado.web
@@ -83,11 +83,6 @@ class Guarded(tornado.web.RequestHandler):
         elif (self.needs_origin or origin is not None) and not is_of(origin, host):
             self.refuse(403, f'it comes from a page of {(origin or "?")[:80]!r}')
 
-    @property
-    def has_cookie(self) -> bool:
-        """Whether the browser has the cookie that it got for the token."""
-        return self.get_secure_cookie(self.settings['cookie_name']) is not None
-
     def refuse(self, status: int, reason: str) -> None:
         """Refuse the request with this HTTP status."""
         self.settings['log'].warn(
@@ -123,19 +118,14 @@ class Files(Guarded, tornado.web.StaticFileHandler):
 
 def application(page: Any, hub: Any, names: Collection[str], token: str, port: int,
                 secret: str) -> tornado.web.Application:
-    """The page, its files and its connections.
+    """The page, its files, and its connections, which are of the class `page`.
 
-    Args:
-        page: the class of a page's connection.
-        names: of this machine: see `own_names`.
-        port: names the cookie, since a browser sends those of all ports of a host.
-        secret: signs the cookies.
+    The port names the cookie, since a browser sends those of all ports of a host; `secret` signs
+    it. `names` as `own_names`.
     """
-    settings: Dict[str, Any] = {
-        'names': names, 'token': token, 'cookie_name': f'panel_{port}',
-        'cookie_secret': secret, 'log': hub.log,
-        'websocket_ping_interval': _PING, 'websocket_max_message_size': _MAX_MESSAGE,
-        'log_function': lambda _handler: None}
     return tornado.web.Application(
         [(r'/socket', page, {'hub': hub}), (r'/token', Token),
-         (r'/(.*)', Files, {'path': str(_WEB), 'default_filename': 'index.html'})], **settings)
+         (r'/(.*)', Files, {'path': str(_WEB), 'default_filename': 'index.html'})],
+        names=names, token=token, cookie_name=f'panel_{port}', cookie_secret=secret, log=hub.log,
+        websocket_ping_interval=_PING, websocket_max_message_size=_MAX_MESSAGE,
+        log_function=lambda _handler: None)
