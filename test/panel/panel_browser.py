@@ -109,7 +109,8 @@ class Browser:
             return until(holds, what, seconds, doing, every)
         except AssertionError as error:
             raise AssertionError(f'{error}; the page is titled {self.title!r}, its answers are '
-                                 f'{self.texts(".answers li")}') from None
+                                 f'{self.texts(".answers li")}, its pad says '
+                                 f'{self.text("#pad-words")!r}') from None
 
     def wait_for_text(self, selector, text):
         """Wait until the first element that matches has this text."""

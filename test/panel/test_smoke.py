@@ -28,11 +28,11 @@ def driving(speed):
 
 def choose(page, motion):
     """Choose what the pad drives."""
-    page.wait(lambda page: page.script(
-        "const pad = document.querySelector('select');"
-        "if (pad.value !== arguments[0]) {"
-        "  pad.value = arguments[0]; pad.dispatchEvent(new Event('change')); }"
-        "return pad.value === arguments[0]", motion), f'{motion} is chosen')
+    page.wait(lambda page: page.script("""
+        const choice = document.querySelector('select');
+        choice.value = arguments[0];
+        if (choice.value) choice.dispatchEvent(new Event('change'));
+        return choice.value;""", motion), f'{motion} is chosen')
 
 
 def hold(page, drives, right=0, up=60):
@@ -41,7 +41,7 @@ def hold(page, drives, right=0, up=60):
         if page.attribute('#pad', 'data-held') is None:
             page.release()
             page.press_at('#pad', right, -up)
-    until(drives, 'the board is driven', doing=press, every=0.3)
+    page.wait(lambda _page: drives(), 'the board is driven', doing=press, every=0.3)
 
 
 def test_the_values_of_the_boards_are_shown(page):
@@ -86,8 +86,8 @@ def test_the_pad_drives_the_base_and_the_car(page, robot):
     page.release()
     until(lambda: robot.twists[-1] == (0, 0), 'the base stops')
     choose(page, 'car')
-    hold(page, lambda: any(speed > 0 for speed in robot.car.speeds), right=40)
-    assert any(isinstance(each, arduino.SteeringCommand) and each.value > 1500
-               for each in robot.car.commands())
+    hold(page, lambda: any(speed > 0 for speed in robot.car.speeds) and any(
+        isinstance(each, arduino.SteeringCommand) and each.value > 1500
+        for each in robot.car.commands()), right=40)
     page.release()
     until(lambda: robot.car.speeds[-1] == 0, 'the car stops')
