@@ -1,6 +1,7 @@
 /** What the page knows of the bridge: the sum of all updates. */
 const KEPT = 12000;         // samples of a topic: 10 min at the rate of the updates, 20 Hz
 const MOST = 500;           // lines of the log, and frames
+const GAP = 1;              // s; a slow page has fewer samples than the bridge sent
 const MINUTE = 60;
 const STATUS_PERIOD = 1;    // s between two statuses of a link
 const SPECIAL = new Map([['nan', NaN], ['inf', Infinity], ['-inf', -Infinity]]);
@@ -26,7 +27,7 @@ export class Topic {
 
   /** Take a sample; `wall` makes its time one of the day. */
   take([at, ...values], wall) {
-    const gap = this.at !== undefined && this.limit !== null && at - this.at > this.limit;
+    const gap = this.limit !== null && at - this.at > Math.max(this.limit, GAP);
     this.at = at;
     this.values = values.map((each) => SPECIAL.get(each) ?? each);
     if (this.values.length !== this.fields.length) return;

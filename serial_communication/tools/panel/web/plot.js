@@ -23,7 +23,7 @@ export class Plot {
     this._topic = topic;
     this._fields = fields;
     this._kept = null;      // the data while it stands
-    this._place = h('div', {class: 'plot'});
+    this._place = h('div', {class: 'plot', title: 'drag: zoom; double click: go on'});
     this._words = h('span', {class: 'note'});
     const keys = fields.map(({name}, index) => {
       const key = h('span', {class: 'key'}, fields.length > 1 ? name.split(/[. ]/).pop() : name);
@@ -82,7 +82,7 @@ export class Plot {
   _point(index) {
     const values = (index ?? null) === null ? [] : this._fields.map(({digits}, at) =>
       formatNumber(this._plot.data[at + 1][index], digits));
-    setText(this._words, values.join(', ') || (this._kept ? 'stands: double click to go on' : ''));
+    setText(this._words, values.join(', ') || (this._kept ? 'stands' : ''));
   }
 
   _resize() {
