@@ -9,6 +9,12 @@ from ...output import prepare_output
 DEFAULT_PORT = 8080
 
 
+def _port(text: str) -> int:
+    if not text.isdecimal() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f'{text!r} is not a port (0 … 65535)')
+    return int(text)
+
+
 def _token(text: str) -> str:
     if not re.fullmatch('[A-Za-z0-9._~-]{12,200}', text):     # it can be guessed over the network
         raise argparse.ArgumentTypeError(f'invalid token of {len(text)} characters: it must have '
@@ -20,7 +26,7 @@ def _arguments(argv: List[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='panel', description='Serve a web page that shows a bridge and its links, to whoever '
         'opens the address that is printed. Ctrl-C ends it.')
-    parser.add_argument('--port', type=int, choices=range(65536), metavar='PORT',
+    parser.add_argument('--port', type=_port,
                         help=f'TCP port to listen on; 0: any free one (default: {DEFAULT_PORT}, '
                         'or the next free one)')
     parser.add_argument('--bind', default='127.0.0.1', metavar='ADDRESS',
@@ -35,22 +41,11 @@ def _arguments(argv: List[str]) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def print_error(text: str) -> None:
-    """Print a line about the panel to standard error."""
-    print(f'panel: {text}', file=sys.stderr, flush=True)
-
-
 def main(argv: Optional[List[str]] = None) -> int:
     """Serve until a signal ends the program; return the exit status."""
     prepare_output()
     # roslaunch adds __name:=… and remappings.
     options = _arguments([each for each in sys.argv[1:] if ':=' not in each]
                          if argv is None else argv)
-    try:
-        from .program import run    # not at the top: it needs ROS and tornado
-    except ImportError as error:
-        if (error.name or '').split('.')[0] != 'tornado':
-            raise
-        print_error('the page needs tornado; install it: sudo apt-get install python3-tornado')
-        return 1
+    from .program import run    # not at the top: it needs ROS and tornado
     return run(options)

@@ -9,10 +9,11 @@ import os
 import secrets
 import signal
 import socket
+import sys
 import threading
 import time
 from contextlib import suppress
-from typing import Callable, List
+from typing import Callable, List, Optional
 
 import rosgraph
 import rospy
@@ -26,7 +27,7 @@ from ...ros.background import LatestWorker
 from ...ros.master import end_within, restart, watch_master
 from ..watch.master import wait_for_master
 from ..watch.state import BridgeState
-from .cli import DEFAULT_PORT, print_error
+from .cli import DEFAULT_PORT
 from .commands import Commands, Outlet
 from .feed import Feed
 from .news import News
@@ -45,10 +46,10 @@ def _start_ros(stopping: threading.Event, ready: Callable[[], None], end: Callab
     """Start this node as soon as a master answers; `start_again` at a new master."""
     def ended() -> None:
         if not stopping.is_set():       # else the page would never change again
-            print_error('ROS has ended this node (rosnode kill, or another node of its name)')
+            _print_error('ROS has ended this node (rosnode kill, or another node of its name)')
             end(1)
 
-    if not wait_for_master(stopping, print_error):
+    if not wait_for_master(stopping, _print_error):
         return
     rospy.on_shutdown(ended)
     rospy.init_node('panel', disable_signals=True)
@@ -67,14 +68,20 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
-def _listen(options: argparse.Namespace) -> List[socket.socket]:
-    """Listen where the options say; OSError if that is not possible."""
-    if options.port is not None:
-        return tornado.netutil.bind_sockets(options.port, options.bind)
-    for port in range(DEFAULT_PORT, DEFAULT_PORT + _NEXT_PORTS):
-        with suppress(OSError):
-            return tornado.netutil.bind_sockets(port, options.bind)
-    return tornado.netutil.bind_sockets(0, options.bind)
+def _print_error(text: str) -> None:
+    print(f'panel: {text}', file=sys.stderr, flush=True)
+
+
+def _listen(port: Optional[int], bind: str) -> List[socket.socket]:
+    """Listen on this port, or on the default one or the next that is free; [] if that is not
+    possible."""
+    for each in [port] if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _NEXT_PORTS):
+        try:
+            return tornado.netutil.bind_sockets(each, bind)
+        except OSError as error:
+            why = f'cannot listen on {bind} port {each}: {error.strerror}'
+    _print_error(f'{why}; choose others with --bind and --port')
+    return []
 
 
 def page_address(bind: str, port: int, token: str) -> str:
@@ -92,11 +99,8 @@ def _serve(options: argparse.Namespace) -> int:
     before, token, secret = (os.environ.pop(_BEFORE, '').split() + ['', '', ''])[:3]
     if before:
         options.port = int(before)
-    try:
-        sockets = _listen(options)
-    except OSError as error:
-        print_error(f'cannot listen on {options.bind} port {options.port or DEFAULT_PORT}: '
-                    f'{error.strerror}; choose others with --bind and --port')
+    sockets = _listen(options.port, options.bind)
+    if not sockets:
         return 1
     port = sockets[0].getsockname()[1]
     token = options.token or token or secrets.token_urlsafe(16)
