@@ -5,4 +5,5 @@ from setuptools import find_packages, setup
 setup(**generate_distutils_setup(
     packages=find_packages(include=['serial_communication', 'serial_communication.*']),
     package_dir={'': '.'},
-    package_data={'serial_communication.tools.panel': ['web/*.*', 'web/cards/*.*']}))
+    package_data={'serial_communication.tools.panel': [
+        'web/*.*', 'web/cards/*.*', 'web/vendor/*']}))

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import tempfile
 import time
-from pathlib import Path
 
 from boards import PATIENCE, until
 from selenium import webdriver
@@ -20,11 +19,6 @@ _FLAGS = ('--headless=new', '--no-sandbox', '--disable-gpu', '--disable-quic', '
           '--disable-background-networking', '--disable-component-update', '--disable-sync',
           '--disable-dev-shm-usage', '--hide-scrollbars',
           '--host-resolver-rules=MAP rebinding.example 127.0.0.1')
-
-
-def read_script(name):
-    """The JavaScript in a file beside this one, for `Browser.script`."""
-    return (Path(__file__).parent / f'{name}.js').read_text()
 
 
 class Browser:
@@ -78,11 +72,6 @@ class Browser:
     def script(self, text, *arguments):
         return self.driver.execute_script(text, *arguments)
 
-    def script_until_done(self, text, *arguments, seconds=PATIENCE):
-        """Run a script that calls its last argument with its result."""
-        self.driver.set_script_timeout(seconds)
-        return self.driver.execute_async_script(text, *arguments)
-
     def all(self, selector):
         return self.driver.find_elements(By.CSS_SELECTOR, selector)
 
@@ -109,11 +98,6 @@ class Browser:
             "return document.querySelector(arguments[0])?.getAttribute(arguments[1])",
             selector, name)
 
-    def readings(self):
-        """Every visible reading as topic:field."""
-        return self.script("return [...document.querySelectorAll('[data-reading]')]"
-                           ".filter(e => e.checkVisibility()).map(e => e.dataset.reading)")
-
     def wait(self, condition, what, seconds=PATIENCE, doing=None, every=0.05):
         """Wait for `condition(self)`; call `doing` repeatedly until then."""
         def holds():
@@ -125,7 +109,8 @@ class Browser:
             return until(holds, what, seconds, doing, every)
         except AssertionError as error:
             raise AssertionError(f'{error}; the page is titled {self.title!r}, its answers are '
-                                 f'{self.texts(".answers li")}') from None
+                                 f'{self.texts(".answers li")}, its pad says '
+                                 f'{self.text("#pad-words")!r}') from None
 
     def wait_for_text(self, selector, text):
         """Wait until the first element that matches has this text."""
@@ -138,16 +123,6 @@ class Browser:
             until(holds, every=0.05)
         except AssertionError:
             raise AssertionError(f'{selector} shows {shown[0]!r}, not {text!r}') from None
-
-    def wait_for_updates(self, number):
-        """Wait for this number of updates: three frames of the browser each, which may take a
-        second each on a busy machine."""
-        self.script_until_done('''
-            let left = arguments[0];
-            const next = () => {
-                if (left-- > 0) requestAnimationFrame(next); else arguments[1]();
-            };
-            next();''', number * 3, seconds=PATIENCE + number * 3)
 
     def errors(self):
         """The warnings and errors in the console since the last call."""
@@ -163,13 +138,6 @@ class Browser:
     def click(self, selector):
         self.all(selector)[0].click()
 
-    def focus(self):
-        """Click where nothing is, so that the window has the focus from now on."""
-        self._actions().move_to_element(self.all('h1')[0]).click().perform()
-
-    def double_click(self, selector):
-        self._actions().double_click(self.all(selector)[0]).perform()
-
     def press_at(self, selector, right, down):
         """Press and hold the mouse at this offset in px from the middle of the element."""
         element = self.all(selector)[0]
@@ -179,9 +147,6 @@ class Browser:
 
     def release(self):
         self._actions().release().perform()
-
-    def press(self, key):
-        self._actions().send_keys(key).perform()
 
     def key_down(self, key):
         self._key('keyDown', key)

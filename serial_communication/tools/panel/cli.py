@@ -1,15 +1,12 @@
 """The panel's command line. It imports neither ROS nor tornado, so --help works without them."""
 import argparse
-import os
 import re
 import sys
 from typing import List, Optional
 
 from ...output import prepare_output
-from .guard import MIN_TOKEN_LENGTH
 
 DEFAULT_PORT = 8080
-_MAX_TOKEN_LENGTH = 200
 
 
 def _port(text: str) -> int:
@@ -19,26 +16,16 @@ def _port(text: str) -> int:
 
 
 def _token(text: str) -> str:
-    if text.startswith('@'):
-        try:
-            with open(os.path.expanduser(text[1:]), encoding='utf-8') as file:
-                text = file.read().strip()
-        except (OSError, UnicodeDecodeError) as error:
-            raise argparse.ArgumentTypeError(f'{text[1:]} cannot be read: {error}') from None
-    if not re.fullmatch(rf'[A-Za-z0-9._~-]{{{MIN_TOKEN_LENGTH},{_MAX_TOKEN_LENGTH}}}', text):
-        raise argparse.ArgumentTypeError(
-            f'invalid token of {len(text)} characters: it must have {MIN_TOKEN_LENGTH} … '
-            f'{_MAX_TOKEN_LENGTH} of A-Z a-z 0-9 . _ ~ -')
+    if not re.fullmatch('[A-Za-z0-9._~-]{12,200}', text):     # it can be guessed over the network
+        raise argparse.ArgumentTypeError(f'invalid token of {len(text)} characters: it must have '
+                                         '12 … 200 of A-Z a-z 0-9 . _ ~ -')
     return text
 
 
 def _arguments(argv: List[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
-        prog='panel', description='Serve a web page that shows a bridge and its links. '
-        'Ctrl-C ends it.',
-        epilog='Without options the page is read-only, and only this machine can open it. '
-               '--control, or an address other than 127.0.0.1, needs a token: open the address '
-               'that the panel prints.')
+        prog='panel', description='Serve a web page that shows a bridge and its links, to whoever '
+        'opens the address that is printed. Ctrl-C ends it.')
     parser.add_argument('--port', type=_port,
                         help=f'TCP port to listen on; 0: any free one (default: {DEFAULT_PORT}, '
                         'or the next free one)')
@@ -47,16 +34,11 @@ def _arguments(argv: List[str]) -> argparse.Namespace:
     parser.add_argument('--node', default='/serial_communication', metavar='NAME',
                         help="the bridge's node name (default: %(default)s)")
     parser.add_argument('--control', action='store_true',
-                        help='let the page move lift, gimbal and car')
+                        help='let the page move lift, gimbal, car or base')
     parser.add_argument('--token', type=_token,
                         help='a token of your own, instead of a random one of each start. Others '
-                        'can see it in ps and in the log of roslaunch; @FILE reads it from a file')
+                        'can see it in ps and in the log of roslaunch')
     return parser.parse_args(argv)
-
-
-def print_error(text: str) -> None:
-    """Print a line about the panel to standard error."""
-    print(f'panel: {text}', file=sys.stderr, flush=True)
 
 
 def main(argv: Optional[List[str]] = None) -> int:
@@ -65,11 +47,5 @@ def main(argv: Optional[List[str]] = None) -> int:
     # roslaunch adds __name:=… and remappings.
     options = _arguments([each for each in sys.argv[1:] if ':=' not in each]
                          if argv is None else argv)
-    try:
-        from .program import run    # not at the top: it needs ROS and tornado
-    except ImportError as error:
-        if (error.name or '').split('.')[0] != 'tornado':
-            raise
-        print_error('the page needs tornado; install it: sudo apt-get install python3-tornado')
-        return 1
+    from .program import run    # not at the top: it needs ROS and tornado
     return run(options)

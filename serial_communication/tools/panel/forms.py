@@ -1,190 +1,125 @@
-"""What the page needs for a form of each command: its fields, with their limits and units."""
+"""The forms of the page: one for each service, setting and command of the boards."""
 import io
 import math
 import struct
-from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple
+from contextlib import suppress
+from typing import Any, Dict, Iterable, List, NamedTuple, Tuple
 
 import genpy
 import roslib.message
 
 from ...boards.description import Description, Field
-from ...framing.layout import FRACTIONS, Value
-from ...framing.row_reader import Group
-from ...framing.rows import Kind, RowError, Setting
-from ...ros.rows import RosRow, read_rows
-from ...ros.settings import Reconfigure
-from ..watch.topics import given_rows
-from .dead_man import CommandRefused
+from ...framing.layout import Value
+from ...framing.rows import Kind, RowError
+from ...ros.fields import outcome_fields
+from ...ros.rows import RosRow, read_rows, resolve
+from ...ros.settings import Reconfigure, request_of, value_in
+from ..watch.topics import given_rows, leaves, one_line
+from .driving import CommandRefused
 
-_INTEGERS = {f'{sign}int{bits}': ((-(1 << bits - 1), (1 << bits - 1) - 1) if not sign
-                                  else (0, (1 << bits) - 1))
-             for sign in ('', 'u') for bits in (8, 16, 32, 64)}
-_INTEGERS.update(byte=_INTEGERS['int8'], char=_INTEGERS['uint8'])
-_OTHER_KINDS = {'bool': 'bool', 'string': 'text', 'float32': 'number', 'float64': 'number'}
+_MOST_REPLY = 40            # fields of a response that are shown
+_MOST_TEXT = 200            # characters of each
+_HUGE = 1e30                # a limit beyond is that of a float, and none for people
 
 
-class Service(NamedTuple):
-    """A service that the page offers."""
+class Form(NamedTuple):
+    """A command that the page offers. The name of a form is that of its service, setting or topic,
+    relative to the node."""
 
-    service_class: Any
-    link: str                      # that it needs
-    fields: List[Dict[str, Any]]   # of its request; see `_field`
-    title: str = ''                # '': a custom function
-    confirm: str = ''              # as in the board's description
-    setting: Optional[Setting] = None    # that it sets; None: its fields are those of the request
+    link: str           # that it needs
+    ros_class: Any      # of the service, or of the message
+    fields: List[Dict[str, Any]]     # see `_field`
+    service: str = ''   # its name; '': a message is published, which has no answer
+    row: Any = None     # RosRow; None: the fields are those of the request
+    setting: Any = None     # the row of the setting that it sets
+    moves: bool = False     # its zero has to follow, since it moves something
+    title: str = ''
+    confirm: str = ''   # what to tell before it is called; '': nothing
 
-    def service_name(self, name: str) -> str:
-        """The name of the service; `name` is that of the form."""
-        return f'~settings/{self.link}/set_parameters' if self.setting else name
-
-
-class Message(NamedTuple):
-    """A custom command: a row whose messages are sent to the board."""
-
-    row: RosRow
-    link: str
-    fields: List[Dict[str, Any]]
+    def described(self) -> Dict[str, Any]:
+        """What the page needs to build it."""
+        return {'link': self.link, 'fields': self.fields, 'title': self.title,
+                'type': self.ros_class._type, 'motion': self.moves, 'confirm': self.confirm,
+                'isCall': bool(self.service),
+                'setting': self.setting.name if self.setting else '',
+                'about': self.row.row.description if self.row else ''}
 
     def make(self, given: Dict[str, Any]) -> Any:
-        """The ROS message with these values; CommandRefused if they do not fit the row."""
-        layout, name = self.row.row.layout, self.row.row.name
-        names = [value.name for value in layout.values if value.name]
+        """The request or message with these values by field; CommandRefused if they do not fit."""
+        names = [field['name'] for field in self.fields]
         if sorted(given) != sorted(names):
-            raise CommandRefused(f'{name} takes {", ".join(names)}')
-        values = [_number(given[value.name]) if value.name else 0 for value in layout.values]
+            raise CommandRefused(f'it takes {", ".join(names) or "nothing"}')
         try:
-            reason = layout.implausible(values)
-            if reason:
-                raise ValueError(reason)
-            layout.pack(values)
-            message = self.row.fields.fill(self.row.fields.new(), values)
-            message.serialize(io.BytesIO())
+            made = request_of(self.setting, given['value']) if self.setting else \
+                _filled(self.row, given) if self.row else self.ros_class._request_class(**given)
+            made.serialize(io.BytesIO())     # finds what its type cannot hold
         except (ArithmeticError, TypeError, ValueError, struct.error,
                 genpy.SerializationError) as error:
-            raise CommandRefused(f'{name}: {error}') from None
-        return message
+            raise CommandRefused(str(error)) from None
+        return made
+
+    def reply(self, response: Any) -> List[Tuple[str, str]]:
+        """The fields of a response that an outcome does not fill: name and value as text."""
+        if self.setting:
+            return [(self.setting.name, str(value_in(response, self.setting)))]
+        known = outcome_fields(type(response))
+        found = [leaf for name in response.__slots__ if name not in known
+                 for leaf in leaves(name, getattr(response, name))]
+        return [(each.name, one_line(each.text())[:_MOST_TEXT]) for each in found[:_MOST_REPLY]]
 
 
-def _number(given: Any) -> Any:
-    return tuple(given) if isinstance(given, list) else given
+def _filled(row: RosRow, given: Dict[str, Any]) -> Any:
+    """The message or request of a row with these values; ValueError if they are out of range."""
+    layout, fields = row.row.layout, row.request or row.fields
+    values = [tuple(each) if isinstance(each, list) else each for each in (
+        given[value.name] if value.name else 0 for value in layout.values)]
+    reason = layout.implausible(values)
+    if reason:
+        raise ValueError(reason)
+    layout.pack(values)
+    return fields.fill(fields.new(), values)
 
 
-def board_services(boards: Iterable[Description]) -> Dict[str, Service]:
-    """The services that the boards' descriptions have and whose types are installed here."""
-    found = {}
+def forms(boards: Iterable[Description], parameters: Any) -> Dict[str, Form]:
+    """The forms of these boards, by name; a row with which no bridge would start has none."""
+    found: Dict[str, Form] = {}
     for board in boards:
-        for each in board.services:
-            service_class = roslib.message.get_service_class(each.type)
+        rows = [resolve(board, row) for row in board.rows]
+        for group, name, given in given_rows(board, parameters):
+            with suppress(RowError):
+                rows += read_rows(board, group.parameter, {name: given})
+        found.update((each.name, _form(board, each)) for each in rows
+                     if each.row.kind is not Kind.FROM and not each.row.period)
+        for service in board.services:
+            service_class = roslib.message.get_service_class(service.type)
             if service_class:
-                made = service(service_class, board.name)
-                described = {field.name: field for field in each.fields}
-                found[each.name] = made._replace(title=each.title, confirm=each.confirm, fields=[
-                    _described(field, described.get(field['name'])) for field in made.fields])
+                row = found[service.name].row if service.name in found else None
+                known = {field.name: field for field in service.fields}
+                values = row.row.layout.values if row else [
+                    Value(name) for name in service_class._request_class.__slots__]
+                found[service.name] = Form(board.name, service_class, [
+                    _field(value, known.get(value.name, Field(''))) for value in values],
+                    service.name, row, title=service.title, confirm=service.confirm)
     return found
 
 
-def _described(field: Dict[str, Any], known: Optional[Field]) -> Dict[str, Any]:
-    """The field of a form, with what the board's description has of it."""
-    if known is None:
-        return field
-    limits = {'low': max(_or(field['low'], -math.inf), known.minimum),
-              'high': min(_or(field['high'], math.inf), known.maximum)}
-    return {**field, 'unit': known.unit, 'preset': known.preset, 'choices': known.choices,
-            **{name: limit if math.isfinite(limit) else None for name, limit in limits.items()}}
+def _form(board: Description, row: RosRow) -> Form:
+    setting: Any = row.row
+    if setting.kind is not Kind.SETTING:
+        return Form(board.name, row.ros_class, [
+            _field(value) for value in row.row.layout.values if value.name],
+            row.name if setting.kind is Kind.FUNCTION else '', row, moves=setting.motion)
+    value = setting.layout.values[1]._replace(minimum=setting.minimum, maximum=setting.maximum)
+    return Form(board.name, Reconfigure, [{**_field(value), 'name': 'value'}],
+                f'~settings/{board.name}/set_parameters', row, setting,
+                title=f'{board.name}: {setting.name}')
 
 
-def _or(limit: Optional[float], otherwise: float) -> float:
-    return otherwise if limit is None else limit
-
-
-def service(service_class: Any, link: str, values: Iterable[Value] = ()) -> Service:
-    """A service with the fields of its type, whose limits a row's layout may narrow."""
-    request, limits = service_class._request_class, {value.name: value for value in values}
-    return Service(service_class, link, [
-        _field(name, type_, limits.get(name))
-        for name, type_ in zip(request.__slots__, request._slot_types)])
-
-
-def custom_services(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
-    """The boards' custom functions that are services and whose types are installed here."""
-    found = {}
-    for board, group, name, row in _rows(boards, parameters):
-        type_ = row.get('srv_type')
-        service_class = roslib.message.get_service_class(type_) if isinstance(type_, str) else None
-        if service_class:
-            found[group.prefix + name] = service(
-                service_class, board.name, _request_values(board, group, name, row))
-    return found
-
-
-def settings(boards: Iterable[Description], parameters: Any) -> Dict[str, Service]:
-    """The boards' settings, by parameter."""
-    found: Dict[str, Service] = {}
-    for board, group, name, row in _rows(boards, parameters):
-        if Kind.SETTING not in group.kinds:
-            continue
-        try:
-            setting, = board.read(group.parameter, {name: row})
-        except RowError:
-            continue        # the bridge does not use it
-        found[group.prefix + name] = Service(
-            Reconfigure, board.name, [_setting_field(setting)], f'{board.name}: {name}',
-            setting=setting)
-    return found
-
-
-def _setting_field(setting: Setting) -> Dict[str, Any]:
-    value = setting.layout.values[1]
-    field = _field('value', '', value._replace(minimum=setting.minimum, maximum=setting.maximum))
-    # The limits of a float's place are none for people.
-    return {**field, **{key: None for key, limit in zip(('low', 'high'), value.range)
-                        if value.code in FRACTIONS and field[key] == limit}}
-
-
-def custom_messages(boards: Iterable[Description], parameters: Any) -> Dict[str, Message]:
-    """The boards' custom commands whose types are installed here."""
-    found = {}
-    for board, group, name, row in _rows(boards, parameters):
-        if row.get('direction') != 'to_board':
-            continue
-        try:
-            message, = read_rows(board, group.parameter, {name: row})
-        except RowError:
-            continue        # the bridge has not started with it
-        found[message.name] = Message(message, board.name, [
-            _field(value.name, '', value) for value in message.row.layout.values if value.name])
-    return found
-
-
-def _rows(boards: Iterable[Description], parameters: Any,
-          ) -> Iterable[Tuple[Description, Group, str, Dict[str, Any]]]:
-    return [(board, *found) for board in boards for found in given_rows(board, parameters)]
-
-
-def _request_values(board: Description, group: Group, name: str,
-                    row: Dict[str, Any]) -> Iterable[Value]:
-    """The values of a function's request, by its row."""
-    try:
-        return board.read(group.parameter, {name: row})[0].layout.values
-    except RowError:
-        return ()
-
-
-def _field(name: str, type_: str, value: Optional[Value]) -> Dict[str, Any]:
-    """A field of a form.
-
-    Args:
-        type_: of ROS; empty if only the value is known.
-        value: with the limits in the board's row; None: there is none.
-    """
-    low, high = _INTEGERS.get(type_, (-math.inf, math.inf))
-    kind, whole, unit = _OTHER_KINDS.get(type_, 'number' if type_ in _INTEGERS else 'other'), \
-        type_ in _INTEGERS, ''
-    if value is not None:
-        least, most = value.range
-        low, high = max(low, least, value.minimum), min(high, most, value.maximum)
-        unit, whole = value.unit, whole or value.is_whole
-        kind = kind if type_ else 'bool' if value.code == '?' else value.kind
-    return {'name': name, 'kind': kind, 'whole': whole, 'unit': unit,
-            'low': low if math.isfinite(low) and kind != 'text' else None,
-            'high': high if math.isfinite(high) and kind != 'text' else None}
+def _field(value: Value, known: Field = Field('')) -> Dict[str, Any]:
+    """A field of a form, with what the board's description has of it."""
+    least, most = value.range if value.code else (-math.inf, math.inf)
+    low, high = max(least, value.minimum, known.minimum), min(most, value.maximum, known.maximum)
+    return {'name': value.name, 'kind': 'bool' if value.code == '?' else value.kind,
+            'whole': bool(value.code) and value.is_whole, 'unit': known.unit or value.unit,
+            'low': low if abs(low) < _HUGE else None, 'high': high if abs(high) < _HUGE else None,
+            'preset': known.preset, 'choices': known.choices}

@@ -1,9 +1,9 @@
-"""The web page of a bridge: a node that observes it, and with --control also commands it.
+"""The node that serves the page of a bridge.
 
-It serves the page at once, also without a ROS master. A thread initialises ROS as soon as a master
-answers.
+It serves at once, also without a ROS master. A thread starts ROS as soon as a master answers.
 """
 import argparse
+import asyncio
 import logging
 import os
 import secrets
@@ -12,71 +12,50 @@ import socket
 import sys
 import threading
 import time
-from typing import Callable, List
+from contextlib import suppress
+from typing import Callable, List, Optional
 
 import rosgraph
 import rospy
+import tornado.httpserver
 import tornado.ioloop
+import tornado.netutil
 
 from ...link.sparing_log import SparingLog
 from ...ros import logs
 from ...ros.background import LatestWorker
-from ...ros.master import (NAME_TAKEN, end_within, full_name, restart, running_node,
-                           watch_master)
+from ...ros.master import end_within, restart, watch_master
 from ..watch.master import wait_for_master
-from .addresses import free_port, listen, listener, listen_near, page_address, qr_code
-from .cli import DEFAULT_PORT, print_error
-from .commands import Commands
+from ..watch.state import BridgeState
+from .cli import DEFAULT_PORT
+from .commands import Commands, Outlet
 from .feed import Feed
-from .guard import Entrance, Guard, is_loopback
-from .server import Hub, host_names, serve
+from .news import News
+from .pages import Hub, Page
+from .server import application, own_names
 
-_STOP_TIME = 0.2          # s for the last SPEED 0 to be sent
+_NEXT_PORTS = 20          # that are tried after the default one
+_STOP_TIME = 0.2          # s for the last zeros to be sent
 _EXIT_TIME = 1.8          # s from a signal until the process exits, even if a thread hangs
-_BEFORE = 'SERIAL_COMMUNICATION_PANEL'    # environment of a restart: port and token
+_MAX_BODY = 4096          # bytes of a request
+_BEFORE = 'SERIAL_COMMUNICATION_PANEL'    # environment of a restart: port, token, secret
 
 
-class _Ros:
-    """Starts this node in a thread as soon as a master answers, and ends it."""
+def _start_ros(stopping: threading.Event, ready: Callable[[], None], end: Callable[[int], None],
+               start_again: Callable[[], None]) -> None:
+    """Start this node as soon as a master answers; `start_again` at a new master."""
+    def ended() -> None:
+        if not stopping.is_set():       # else the page would never change again
+            _print_error('ROS has ended this node (rosnode kill, or another node of its name)')
+            end(1)
 
-    def __init__(self, ready: Callable[[], None], end: Callable[[int], None],
-                 start_again: Callable[[], None]) -> None:
-        self._ready = ready
-        self._end = end
-        self._start_again = start_again     # at a new master
-        self._stopping = threading.Event()
-        threading.Thread(target=self._start, name='start ROS', daemon=True).start()
-
-    def stop(self) -> None:
-        """Do not start the node any more, or unregister it from the master."""
-        self._stopping.set()
-        rospy.signal_shutdown('it ends')
-
-    def _start(self) -> None:
-        if not wait_for_master(self._stopping, print_error):
-            return
-        name = full_name('panel')
-        if running_node(name):
-            print_error(f'another node is named {name} at {rosgraph.get_master_uri()}; end it, or '
-                        f"name this one: __name:={name.rpartition('/')[2]}_2")
-            self._end(NAME_TAKEN)
-            return
-        rospy.on_shutdown(self._ended)
-        try:
-            rospy.init_node('panel', disable_signals=True)
-        except rospy.ROSInitException:      # another node took the name meanwhile
-            self._ended()
-            return
-        logs.queue_lines()
-        watch_master(self._start_again)
-        self._ready()
-
-    def _ended(self) -> None:
-        """ROS has ended this node, so the page would never change again: end the process."""
-        if not self._stopping.is_set():
-            self._stopping.set()
-            print_error('ROS has ended this node (rosnode kill, or another node of its name)')
-            self._end(1)
+    if not wait_for_master(stopping, _print_error):
+        return
+    rospy.on_shutdown(ended)
+    rospy.init_node('panel', disable_signals=True)
+    logs.queue_lines()
+    watch_master(start_again)
+    ready()
 
 
 def run(options: argparse.Namespace) -> int:
@@ -89,53 +68,57 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
-def _listen(options: argparse.Namespace) -> List[socket.socket]:
-    """Listen where the options say; OSError if that is not possible."""
-    if options.port is not None:
-        return listen(options.port, options.bind)
-    sockets = listen_near(DEFAULT_PORT, options.bind)
-    if sockets[0].getsockname()[1] != DEFAULT_PORT:
-        print_error(f'port {DEFAULT_PORT} is taken by {listener(DEFAULT_PORT) or "another program"}'
-                    '; the next free one is used')
-    return sockets
+def _print_error(text: str) -> None:
+    print(f'panel: {text}', file=sys.stderr, flush=True)
 
 
-def _explain_no_port(options: argparse.Namespace, error: OSError) -> None:
-    """Print why it cannot listen, who has the port, and which one is free."""
-    port = DEFAULT_PORT if options.port is None else options.port
-    held_by, free = listener(port), free_port(port, options.bind)
-    print_error(f'cannot listen on {options.bind} port {port}: {error.strerror}'
-                + (f', by {held_by}' if held_by else '')
-                + ('; ' + (f'free: --port {free}' if free else 'choose others with --bind and '
-                           '--port')))
+def _listen(port: Optional[int], bind: str) -> List[socket.socket]:
+    """Listen on this port, or on the default one or the next that is free; [] if that is not
+    possible."""
+    for each in [port] if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _NEXT_PORTS):
+        try:
+            return tornado.netutil.bind_sockets(each, bind)
+        except OSError as error:
+            why = f'cannot listen on {bind} port {each}: {error.strerror}'
+    _print_error(f'{why}; choose others with --bind and --port')
+    return []
+
+
+def page_address(bind: str, port: int, token: str) -> str:
+    """The address to open in a browser; browsers send the part after # to no server."""
+    host = bind
+    if bind in ('0.0.0.0', '::', ''):       # that of this machine in its network; else its name
+        host = socket.gethostname()
+        with suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect(('192.0.2.1', 9))     # sends nothing; 192.0.2.0/24 is for documentation
+            host = probe.getsockname()[0]
+    return f'http://{f"[{host}]" if ":" in host else host}:{port}/#{token}'
 
 
 def _serve(options: argparse.Namespace) -> int:
-    before, _, token = os.environ.pop(_BEFORE, '').partition(' ')
+    before, token, secret = (os.environ.pop(_BEFORE, '').split() + ['', '', ''])[:3]
     if before:
         options.port = int(before)
-    try:
-        sockets = _listen(options)
-    except OSError as error:
-        _explain_no_port(options, error)
+    sockets = _listen(options.port, options.bind)
+    if not sockets:
         return 1
+    port = sockets[0].getsockname()[1]
+    token = options.token or token or secrets.token_urlsafe(16)
+    secret = secret or secrets.token_urlsafe(32)
 
     loop = tornado.ioloop.IOLoop.current()
-    log = SparingLog('panel', logging.getLogger('rosout'))
-    node = rospy.resolve_name(options.node)
-    registrar = LatestWorker('registrar')
-    commands = Commands(node, registrar, loop.add_callback, loop.call_later) \
+    bridge = BridgeState(rospy.resolve_name(options.node), master=rosgraph.get_master_uri())
+    news, worker = News(), LatestWorker('registrar')
+    commands = Commands(bridge, Outlet(bridge, worker), news, loop.add_callback) \
         if options.control else None
-    hub = Hub(Feed(node, rosgraph.get_master_uri(), registrar), commands, log)
-    needs_token = bool(options.token or options.control or not is_loopback(options.bind))
-    entrance = Entrance((options.token or token or secrets.token_urlsafe(16)) if needs_token
-                        else None)
-    port = sockets[0].getsockname()[1]
+    hub = Hub(Feed(bridge, worker, news), commands, news,
+              SparingLog('panel', logging.getLogger('rosout')))
+    app = application(Page, hub, own_names(options.bind), token, port, secret)
+    server = tornado.httpserver.HTTPServer(app, max_body_size=_MAX_BODY, max_header_size=1 << 14,
+                                           idle_connection_timeout=60)
+    server.add_sockets(sockets)
     # Printed, not logged: readers of the log must not get the token.
-    address = page_address(options.bind, port, entrance.token)
-    code = qr_code(address) if sys.stdout.isatty() and not is_loopback(options.bind) else ''
-    print(f'panel: {address}' + f'\n{code}'.rstrip(), flush=True)
-    server = serve(sockets, hub, Guard(options.bind, host_names()), entrance)
+    print(f'panel: {page_address(options.bind, port, token)}', flush=True)
     statuses: List[int] = []
 
     def end(status: int = 0) -> None:
@@ -147,14 +130,19 @@ def _serve(options: argparse.Namespace) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: end())
-    ros = _Ros(lambda: loop.add_callback(hub.ros_started), end,
-               lambda: loop.add_callback(loop.stop))
+    stopping = threading.Event()
+    threading.Thread(target=_start_ros, name='start ROS', daemon=True, args=(
+        stopping, lambda: setattr(hub, 'ros_runs', True), end,
+        lambda: loop.add_callback(loop.stop))).start()
+    loop.add_callback(lambda: asyncio.ensure_future(hub.run()))
     loop.start()
 
     server.stop()
-    if hub.stop():
-        time.sleep(_STOP_TIME)
+    for page in list(hub.pages):
+        page.on_close()
+    time.sleep(_STOP_TIME)
     if not statuses:
-        restart({_BEFORE: f'{port} {entrance.token or ""}'})
-    ros.stop()
+        restart({_BEFORE: f'{port} {token} {secret}'})
+    stopping.set()
+    rospy.signal_shutdown('it ends')
     return statuses[0] if statuses else 0

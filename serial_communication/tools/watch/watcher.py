@@ -153,6 +153,8 @@ class Watcher:
             state.set_topics(published_topics(
                 state.node, {name: types.get(name, '*') for name in published},
                 state.parameters, state.boards))
+            state.subscribed = {name: types.get(name, '*') for name, nodes in subscribers
+                                if state.node in nodes}
             # A restarted master knows neither this node nor, at first, the bridge. Messages still
             # arrive over the old connections, which are kept until the bridge has registered.
             ours = {name for name, nodes in subscribers if rospy.get_name() in nodes}

@@ -1,7 +1,7 @@
 /** The car in 3D on a canvas: boxes and wheels, painted from far to near. */
-import {colour, context} from './dom.js';
+import {colour} from './dom.js';
 
-const EYE = {distance: 6.2, up: 0.45, turn: 0.6};   // position of the viewer: up and turn in radians
+const EYE = {distance: 6.2, up: 0.45, turn: 0.6};   // of the viewer: up and turn in radians
 const LIGHT = [0.35, 0.5, 0.79];
 const WHEEL = {radius: 0.36, width: 0.24, corners: 14};
 
@@ -37,13 +37,10 @@ function wheel(x, y, steer) {
 const BODY = [
   ...box(-1.25, 1.3, -0.55, 0.55, 0.0, 0.34, '--car'),
   ...box(-0.95, 0.55, -0.48, 0.48, 0.34, 0.78, '--car-glass', 0.28),
-  ...box(1.3, 1.34, -0.42, -0.2, 0.12, 0.24, '--car-light'),
-  ...box(1.3, 1.34, 0.2, 0.42, 0.12, 0.24, '--car-light'),
-  ...box(-1.29, -1.25, -0.45, -0.2, 0.14, 0.24, '--car-tail'),
-  ...box(-1.29, -1.25, 0.2, 0.45, 0.14, 0.24, '--car-tail'),
 ];
 
-const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+const cross = (a, b) =>
+  [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const less = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 const unit = (a) => a.map((each) => each / Math.hypot(...a));
@@ -57,9 +54,11 @@ function turned([x, y, z], {roll, pitch, yaw}) {
 
 /** Draw the car. Angles in radians; `steer` is that of the front wheels, positive to the left. */
 export function drawCar(canvas, attitude, steer) {
-  const area = context(canvas);
-  if (!area) return;
-  const {ctx, width, height} = area;
+  const {clientWidth: width, clientHeight: height} = canvas, ratio = window.devicePixelRatio || 1;
+  if (!width) return;
+  Object.assign(canvas, {width: width * ratio, height: height * ratio});    // this also clears it
+  const ctx = canvas.getContext('2d');
+  ctx.scale(ratio, ratio);
   const eye = [-Math.cos(EYE.up) * Math.cos(EYE.turn), -Math.cos(EYE.up) * Math.sin(EYE.turn),
     Math.sin(EYE.up)].map((each) => each * EYE.distance);
   const ahead = unit(less([0, 0, 0.1], eye)), right = unit(cross(ahead, [0, 0, 1]));
@@ -74,7 +73,8 @@ export function drawCar(canvas, attitude, steer) {
     ...wheel(-0.8, 0.62, 0), ...wheel(-0.8, -0.62, 0)].map(({corners, paint}) => {
     const world = corners.map((each) => turned(each, attitude));
     const normal = unit(cross(less(world[1], world[0]), less(world[2], world[1])));
-    const middle = world.reduce((sum, each) => sum.map((v, k) => v + each[k] / world.length), [0, 0, 0]);
+    const middle = world.reduce((sum, each) => sum.map((v, k) => v + each[k] / world.length),
+      [0, 0, 0]);
     return {world, normal, paint, middle, depth: Math.hypot(...less(middle, eye))};
   }).filter((face) => dot(face.normal, less(face.middle, eye)) < 0);
   faces.sort((one, other) => other.depth - one.depth);
@@ -93,7 +93,7 @@ export function drawCar(canvas, attitude, steer) {
   }
 }
 
-/** The level ground, and an arrow in the direction of yaw 0. */
+/** The level ground, and a line in the direction of yaw 0. */
 function ground(ctx, seen) {
   const line = (from, to) => {
     const [x0, y0] = seen(from), [x1, y1] = seen(to);
@@ -112,6 +112,4 @@ function ground(ctx, seen) {
   ctx.strokeStyle = colour('--axis');
   ctx.lineWidth = 2;
   line([0, 0, z], [3, 0, z]);
-  line([3, 0, z], [2.75, 0.14, z]);
-  line([3, 0, z], [2.75, -0.14, z]);
 }

@@ -12,34 +12,31 @@ export function h(tag, attributes = {}, ...children) {
   return element;
 }
 
-/** Create a card: a section with a heading, which is also its name for screen readers. */
+/** Create a card: a section with a heading, and a note beside it. */
 export function card(title, note, ...children) {
-  const id = 'card-' + title.toLowerCase().replace(/[^a-z0-9]+/g, '-');
-  return h('section', {class: 'card', id, 'aria-labelledby': id + '-title'},
-    h('header', {class: 'card-head'}, h('h2', {id: id + '-title'}, title),
-      h('span', {class: 'note'}, note)),
-    ...children);
+  return h('section', {class: 'card', 'aria-label': title},
+    h('header', {}, h('h2', {}, title), h('span', {class: 'note'}, note)), ...children);
 }
 
 /** Set the text if it has changed. Otherwise the browser need not lay out the page again. */
-export function updateText(element, text) {
+export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
 /** Set an attribute, or remove it (null, false), if it has changed. */
-export function updateAttribute(element, name, value) {
+export function setAttribute(element, name, value) {
   if (value === null || value === false) {
     if (element.hasAttribute(name)) element.removeAttribute(name);
-  } else {
-    const text = value === true ? '' : String(value);
-    if (element.getAttribute(name) !== text) element.setAttribute(name, text);
+  } else if (element.getAttribute(name) !== String(value)) {
+    element.setAttribute(name, String(value));
   }
 }
 
 // A Map, since an announced unit may have any name, such as `constructor`.
-const UNITS = new Map([['deg', '°'], ['degrees C', '°C'], ['m/s^2', 'm/s²'], ['in 10 ms', '/10 ms']]);
+const UNITS = new Map([['deg', '°'], ['degrees C', '°C'], ['m/s^2', 'm/s²'],
+  ['in 10 ms', '/10 ms']]);
 
-export const unit = (name) => UNITS.get(name) ?? name;
+export const unitOf = (name) => UNITS.get(name) ?? name;
 
 /** A value as text. The minus sign U+2212 is as wide as a plus sign; a hyphen is not. */
 export function formatNumber(value, digits = null) {
@@ -48,7 +45,7 @@ export function formatNumber(value, digits = null) {
   if (value === null || value === undefined || Number.isNaN(value)) return '–';
   if (!Number.isFinite(value)) return value > 0 ? '∞' : '−∞';
   let text = digits !== null ? value.toFixed(digits)
-    : String(Number.isSafeInteger(value) ? value : Number(value.toPrecision(6)));
+    : String(Number.isSafeInteger(value) ? value : Number(value.toPrecision(5)));
   if (Number(text) === 0) text = text.replace('-', '');
   return text.replace('-', '−');
 }
@@ -59,36 +56,14 @@ export function formatAge(seconds) {
   return seconds < 7200 ? `${Math.floor(seconds / 60)} min` : `${Math.floor(seconds / 3600)} h`;
 }
 
-/** A text whose ages are left out, so that it changes only if what it says does. */
-export const withoutAges = (text) => text.replace(/ for [\d.]+ (s|min|h)\b/g, '');
-
-/** A name whose end stays visible where there is no room for its middle. */
-export function shortened(text, end = 12) {
-  const at = Math.max(0, text.length - end);
-  return [h('span', {class: 'begin'}, text.slice(0, at)), h('span', {class: 'end'}, text.slice(at))];
-}
-
 /** A colour of the style sheet, for a canvas; cached until light or dark mode changes. */
 const colours = new Map();
+export const darkMode = matchMedia('(prefers-color-scheme: dark)');
 export function colour(name) {
   if (!colours.has(name)) {
-    colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+    document.head.style.color = `var(${name})`;
+    colours.set(name, getComputedStyle(document.head).color);
   }
   return colours.get(name);
 }
-matchMedia('(prefers-color-scheme: dark)').addEventListener('change', () => colours.clear());
-
-/** The context of a canvas, cleared and scaled to CSS pixels; null while it is not shown. */
-export function context(canvas) {
-  const {clientWidth: width, clientHeight: height} = canvas;
-  if (!width || !height) return null;
-  const ratio = window.devicePixelRatio || 1;
-  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-  }
-  const ctx = canvas.getContext('2d');
-  ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-  ctx.clearRect(0, 0, width, height);
-  return {ctx, width, height};
-}
+darkMode.addEventListener('change', () => colours.clear());

@@ -1,130 +1,134 @@
 /** What the page knows of the bridge: the sum of all updates. */
-const KEPT = 600;          // s of samples and errors
-const MAX_SAMPLES = 4000;  // of one topic: 40 s at 100 Hz
-const MAX_CALLS = 30;      // whose answers are kept
-const ERRORS_SHOWN = 10;   // s for which an error marks its link
-const STATUS_PERIOD = 1;   // s between two statuses of a link
+const KEPT = 12000;         // samples of a topic: 10 min at the rate of the updates, 20 Hz
+const MOST = 500;           // lines of the log, and frames
+const GAP = 1;              // s; a slow page has fewer samples than the bridge sent
+const MINUTE = 60;
+const STATUS_PERIOD = 1;    // s between two statuses of a link
+const SPECIAL = new Map([['nan', NaN], ['inf', Infinity], ['-inf', -Infinity]]);
 
-/** One topic: its fields, and samples of [time, value …]. */
-class TopicData {
+/** One topic: its latest values, and columns of times and values for plots. */
+export class Topic {
   constructor(name) {
     this.name = name;
-    this.fields = [];
-    this.samples = [];
-    this.words = '';
-    this.limit = null;
+    this.describe({type: '', fields: null, limit: null});
   }
 
-  take({samples, words, limit, fields}) {
-    if (fields) {
-      const names = (shape) => shape.map(([name]) => name).join();
-      if (this.samples.length && names(fields) !== names(this._shape ?? [])) this.samples = [];
-      this._shape = fields;
-      this.fields = fields.map(([name, unit, digits, low, high], at) =>
-        ({name, unit, digits, low, high, at: at + 1}));
+  describe({type, fields, limit}) {
+    const names = (fields ?? []).map(([name]) => name).join();
+    if (names !== this._names) {
+      this._names = names;
+      this.columns = [[], ...(fields ?? []).map(() => [])];
+      this.values = [];
     }
-    const last = this.samples.length ? this.samples[this.samples.length - 1][0] : -Infinity;
-    for (const sample of samples) {
-      if (sample[0] > last) this.samples.push(sample.map((each) =>
-        each === 'NaN' ? NaN : each === 'Infinity' ? Infinity : each === '-Infinity' ? -Infinity : each));
-    }
-    if (this.samples.length > MAX_SAMPLES * 1.1) this.samples.splice(0, this.samples.length - MAX_SAMPLES);
-    this.words = words;
-    this.limit = limit;
+    Object.assign(this, {type, limit,
+      fields: (fields ?? []).map(([name, unit, digits, low, high]) =>
+        ({name, unit, digits, low, high}))});
   }
 
-  forgetBefore(time) {
-    if (this.samples.length > 1 && this.samples[0][0] < time) {
-      this.samples.splice(0, this.samples.findIndex((sample) => sample[0] >= time));
-    }
+  /** Take a sample; `wall` makes its time one of the day. */
+  take([at, ...values], wall) {
+    const gap = this.limit !== null && at - this.at > Math.max(this.limit, GAP);
+    this.at = at;
+    this.values = values.map((each) => SPECIAL.get(each) ?? each);
+    if (this.values.length !== this.fields.length) return;
+    if (gap) this._append(at + wall - 1e-3, this.values.map(() => null));
+    this._append(at + wall, this.values.map((each) =>
+      Number.isFinite(Number(each)) && each !== '' ? Number(each) : null));
+    if (this.columns[0].length < KEPT * 1.1) return;
+    for (const each of this.columns) each.splice(0, each.length - KEPT);
   }
 
-  field(name) { return this.fields.find((each) => each.name === name); }
-
-  /** The latest sample; undefined if there is none. */
-  get last() { return this.samples[this.samples.length - 1]; }
-
-  /** The latest value of a field; undefined if there is none. */
-  value(name) {
-    const field = this.field(name);
-    return field && this.last?.[field.at];
+  _append(time, numbers) {
+    this.columns[0].push(time);
+    numbers.forEach((each, index) => this.columns[index + 1].push(each));
   }
 
-  age(now) { return this.last ? Math.max(0, now - this.last[0]) : Infinity; }
+  value(name) { return this.values[this.fields.findIndex((each) => each.name === name)]; }
 
-  stale(now) { return this.limit !== null && this.age(now) > this.limit; }
+  age(now) { return this.at === undefined ? Infinity : Math.max(0, now - this.at); }
+
+  /** none (no value yet), stale or fresh. */
+  state(now) {
+    if (!this.values.length) return 'none';
+    return this.limit !== null && this.age(now) > this.limit ? 'stale' : 'fresh';
+  }
 }
 
 /** One link, as /diagnostics reports it. */
-class LinkStatus {
+class Link {
   constructor(name) {
-    this.name = name;
-    this.at = null;
-    this.level = null;
-    this.summary = '';
-    this.values = {};
-    this.errors = [];        // entries of [time, Map of counts by cause]
-    this._counted = [];      // [time, frames received, frames sent]
+    Object.assign(this, {name, at: null, level: null, summary: '', values: {}});
+    this._counts = [];      // [time, {cause: count}] of the last minute
   }
 
-  take({at, level, summary, values, errors}) {
-    if (at === null) return;
-    Object.assign(this, {at, level, summary, values});
-    const last = this.errors.length ? this.errors[this.errors.length - 1][0] : -Infinity;
-    for (const [time, counts] of errors) {
-      if (time > last) this.errors.push([time, new Map(Object.entries(counts))]);
-    }
-    this.errors = this.errors.filter(([time]) => at - time <= KEPT);
-    this._counted.push([at, Number(values['frames received']), Number(values['frames sent'])]);
-    if (this._counted.length > 4) this._counted.shift();
+  take(status) {
+    Object.assign(this, status ?? {});
+    if (!status) return;
+    const counts = new Map(Object.entries(status.values).filter(([key]) => key.endsWith(' errors'))
+      .map(([key, count]) => [key.slice(0, -' errors'.length), Number(count)]));
+    // A counter that is lower than before belongs to a bridge that was started again.
+    const last = this._counts[this._counts.length - 1]?.[1];
+    if ([...counts].some(([cause, count]) => count < last?.get(cause))) this._counts = [];
+    this._counts.push([status.at, counts]);
+    const old = this._counts.findIndex(([at]) => status.at - at < MINUTE) - 1;
+    this._counts.splice(0, Math.max(0, old));
   }
 
-  /** Frames per second, sent or received; null if not known. */
-  rate(sent) {
-    const first = this._counted[0], last = this._counted[this._counted.length - 1];
-    const column = sent ? 2 : 1;
-    if (!first || last[0] - first[0] < 0.5 || last[column] < first[column]) return null;
-    return (last[column] - first[column]) / (last[0] - first[0]);
+  /** The errors of the last minute: [cause, count]. */
+  errors() {
+    const [, first] = this._counts[0] ?? [0, new Map()];
+    const [, last] = this._counts[this._counts.length - 1] ?? [0, new Map()];
+    return [...last].map(([cause, count]) => [cause, count - (first.get(cause) ?? 0)])
+      .filter(([, count]) => count > 0);
   }
 
-  /** Errors since then: a Map from cause to count. A cause may have any name. */
-  errorsSince(time) {
-    const sums = new Map();
-    for (const [at, counts] of this.errors) {
-      if (at <= time) continue;
-      for (const [cause, count] of counts) sums.set(cause, (sums.get(cause) ?? 0) + count);
-    }
-    return sums;
-  }
-
-  stale(now) { return this.at === null || now - this.at > 3; }
+  stale(now) { return this.at === null || now - this.at > 3 * STATUS_PERIOD; }
 
   /** none (no status), ok, warn or error. */
   health(now) {
-    if (this.stale(now)) return 'none';
-    if (this.level >= 2) return 'error';
-    const errors = [...this.errorsSince(now - ERRORS_SHOWN).values()].some((count) => count);
-    return this.level === 1 || errors ? 'warn' : 'ok';
+    return this.stale(now) ? 'none' : ['ok', 'warn', 'error'][Math.min(this.level, 2)];
   }
 }
 
 export class Model {
-  constructor() {
-    this.node = '';
-    this.trouble = '';
-    this.known = {};
-    this.boards = {};         // by link
-    this.topics = new Map();
+  constructor() { this._clear(); }
+
+  _clear() {
+    Object.assign(this,
+      {control: false, node: '', trouble: '', titles: {}, forms: {}, drives: false});
+    this.topics ??= new Map();      // kept over a lost connection, for the plots
     this.links = new Map();
     this.log = [];
-    this.calls = new Map();   // number -> call
-    this.drives = false;      // a page
-    this.controls = null;
+    this.frames = [];
+    this.calls = new Map();         // by number
   }
 
-  topic(name) {
-    if (!this.topics.has(name)) this.topics.set(name, new TopicData(name));
-    return this.topics.get(name);
+  take(update) {
+    if ('control' in update) {      // the first update of a connection has the whole state
+      this._clear();
+      this.control = update.control;
+    }
+    const {topics, ...state} = update.state ?? {};
+    Object.assign(this, state);
+    if (topics) {
+      for (const name of this.topics.keys()) if (!(name in topics)) this.topics.delete(name);
+      for (const [name, described] of Object.entries(topics)) {
+        if (!this.topics.has(name)) this.topics.set(name, new Topic(name));
+        this.topics.get(name).describe(described);
+      }
+    }
+    for (const [name, sample] of Object.entries(update.samples ?? {})) {
+      this.topics.get(name)?.take(sample, update.wall);
+    }
+    for (const [name, status] of Object.entries(update.links ?? {})) {
+      if (!this.links.has(name)) this.links.set(name, new Link(name));
+      this.links.get(name).take(status);
+    }
+    this.log.push(...Object.values(update.log ?? {}));
+    this.frames.push(...Object.values(update.frames ?? {}));
+    for (const call of Object.values(update.calls ?? {})) this.calls.set(call.number, call);
+    for (const list of [this.log, this.frames]) list.splice(0, list.length - MOST);
+    for (const number of this.calls.keys()) if (this.calls.size > 30) this.calls.delete(number);
   }
 
   /** Whether STOP holds: by /diagnostics, unless ~stop was answered less than a status before. */
@@ -132,41 +136,19 @@ export class Model {
     const links = [...this.links.values()].filter((link) => !link.stale(now));
     let at = Math.max(...links.map((link) => link.at));
     let held = links.some((link) => link.values.condition === 'stopped');
-    for (const {name, outcome, began, took, arguments: {data}} of this.calls.values()) {
+    for (const {name, outcome, began, took, values} of this.calls.values()) {
       const until = began + took + STATUS_PERIOD;
-      if (name === '~stop' && outcome === 'done' && until > at) [at, held] = [until, data];
+      if (name === '~stop' && outcome === 'done' && until > at) [at, held] = [until, values.data];
     }
     return links.length > 0 && held;
   }
 
-  take(update) {
-    if (this._now > update.now) {        // the panel's machine has been restarted
-      this.topics.clear();
-      this.links.clear();
-    }
-    if ('node' in update) {              // the first update of a connection has the whole state
-      this.log = [];
-      this.calls.clear();
-      this.links.clear();
-      this.controls = update.controls ?? null;
-    }
-    this._now = update.now;
-    for (const key of ['node', 'trouble', 'known', 'boards', 'drives', 'controls']) {
-      if (key in update) this[key] = update[key];
-    }
-    for (const [name, changes] of Object.entries(update.topics ?? {})) {
-      this.topic(name).take(changes);
-      this.topic(name).forgetBefore(update.now - KEPT);
-    }
-    for (const [name, changes] of Object.entries(update.links ?? {})) {
-      if (!this.links.has(name)) this.links.set(name, new LinkStatus(name));
-      this.links.get(name).take(changes);
-    }
-    this.log.push(...update.log ?? []);
-    this.log.splice(0, this.log.length - 100);
-    for (const call of update.calls ?? []) this.calls.set(call.number, call);
-    for (const number of this.calls.keys()) {
-      if (this.calls.size > MAX_CALLS) this.calls.delete(number);    // the oldest
-    }
+  /** Why a command that needs this link cannot be carried out now; '' if it can. */
+  whyNot(name, now) {
+    if (this.trouble) return this.trouble;
+    const link = this.links.get(name), condition = link?.values.condition;
+    if (!link || link.stale(now)) return `the ${name} link has no status`;
+    return ['closed', 'lent', 'silent', 'calibrating'].includes(condition)
+      ? `${name}: ${link.summary}` : '';
   }
 }

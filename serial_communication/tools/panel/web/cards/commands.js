@@ -1,318 +1,284 @@
 /**
- * Commands: service calls and messages to the boards. A control is disabled until its command is
- * answered, and while it cannot be carried out, with the reason beside it. If the connection is lost
- * during a call, its outcome is shown as not known.
+ * The commands, with --control: a form for each service, setting and command of the bridge, their
+ * answers, and STOP. The one guard against accidental clicks: a button that was pressed is disabled
+ * until its command is answered, and for as long as the second click of a double click may follow.
  */
-import {APPEARED, appear, hasJustAppeared} from '../appeared.js';
-import {card, formatAge, h, updateAttribute, updateText} from '../dom.js';
-import {whyNoCall, whyNot} from '../reasons.js';
-import {Answers, describe} from './answers.js';
-import {makeInputs} from './forms.js';
+import {card, formatAge, formatNumber, h, setText, unitOf} from '../dom.js';
+import {isOfPad} from './drive.js';
 
-const LEAST_DISABLED = 700;    // ms; the second click of a double click follows within 500
-const LEDS = ['left', 'right', 'brake', 'disable'];
-const READ_ONLY = [
-  'This page only looks: it sends nothing to the robot. A page with commands is served by '
-  + '“rosrun serial_communication panel --control”, “bridge.launch control:=true” and “scripts/demo --panel --control”.',
-  'Who reaches its address sees this page: on the panel’s machine every user, and through an ssh tunnel every '
-  + 'user of the machine where the tunnel begins.'];
-
-const CALIBRATE = '~calibrate_imu';
-
+const GUARD = 0.7;             // s
 const STOP_ANSWER = 0.5;       // s that the bridge has to answer a STOP
 const STOP_SHOWN = 10;         // s for which a STOP that was not confirmed is shown
-let presses = 0;
+const CLICK_OF_PRESS = 1000;   // ms after a press in which a click is the same press
+const SHOWN = 8;               // answers
+const READ_ONLY = 'This page only looks. One with commands is served by '
+  + '“rosrun serial_communication panel --control” and by “bridge.launch control:=true”.';
 
 export class Commands {
-  constructor(connection, announce) {
-    this.topics = ['~imu/calibrating'];
+  constructor(connection, model) {
     this._connection = connection;
-    this._announce = announce;
-    this._pending = new Map();      // key -> {name, words, at} of what was requested and not answered
-    this._release = document.getElementById('release');
-    this._release.addEventListener('click', (event) => this._request(event, '~stop',
-      {call: {name: '~stop', arguments: {data: false}}}, 'release STOP'));
-    this._groups = new Map([['~stop', [this._release]]]);   // name of a service or topic -> its buttons
-    this._reasons = [];             // [{name, link, isCall, place}]: where the reasons are shown
-    this._forms = new Map();        // key -> {shape, element}
-    // [setting, link, place, inputs]: where the board's value is shown, and begins to be entered
-    this._settings = [];
-    this._body = h('div', {class: 'commands'});
-    this._answers = new Answers();
-    this._calibrateNote = h('p', {class: 'words beside-button'});
-    this.element = card('Commands', '', this._body, this._answers.element);
-    this.element.hidden = true;
-    this._shape = null;
-    this._stop = {at: -Infinity};   // the latest STOP of this page: its key, and when it was pressed
+    this._model = model;
+    this._presses = 0;
+    this._pending = new Map();      // key -> {button, at, name, done}
+    this._forms = new Map();        // name -> Form
+    this._stop = {at: -Infinity};   // the latest STOP of this page
+    this._body = h('div', {class: 'forms'});
+    this._answers = h('ol',
+      {class: 'answers', 'aria-label': 'answers, the latest first', 'aria-live': 'polite'});
+    this.element = card('Commands', '', this._body, this._answers);
+    this._go = document.getElementById('go');
+    this._go.addEventListener('click', () => this.send(this._go, '~stop', {go: {}}));
+    this._listen(document.getElementById('stop'));
+    connection.addEventListener('refused', ({detail}) => this._refused(detail));
     connection.addEventListener('lost', () => this._lost());
   }
 
-  draw(model, now) {
-    this.element.hidden = !model.node;
-    this._release.hidden = !model.controls || !model.stopped(now);
-    this._release.disabled = !this._connection.alive || hasJustAppeared()
-      || this._release.disabledUntil > performance.now();
-    const shape = JSON.stringify(model.controls);
-    if (shape !== this._shape) {
-      this._shape = shape;
-      this._answers.element.hidden = !model.controls;
-      if (model.controls) this._build(model.controls);
-      else this._explainReadOnly();
-    }
-    if (!model.controls) return;
-    this._settle(model);
-    const busy = new Set([...this._pending.values()].map((each) => each.name));
-    for (const call of model.calls.values()) if (!call.outcome) busy.add(call.name);
-    for (const {name, link, isCall, place} of this._reasons) {
-      const moves = !isCall && name !== '~led';     // a call is answered with the reason
-      const reason = (isCall ? whyNoCall : whyNot)(model, this._connection, now, link, moves);
-      updateText(place, reason);
-      updateAttribute(place, 'title', reason || null);
-      this._groups.get(name).forEach((button) => {
-        updateAttribute(button, 'disabled', Boolean(reason) || busy.has(name)
-          || button.disabledUntil > performance.now());
-        updateAttribute(button, 'title', reason || null);
-      });
-    }
-    this._calibrating(model, now);
-    for (const [setting, link, place, inputs] of this._settings) {
-      const value = boardValue(model.links.get(link), setting);
-      updateText(place, value);
-      // The form begins with the board's value.
-      if (value !== '?') inputs.splice(0).forEach((input) => begin(input, value));
-    }
-    this._answers.draw(model, now, [...this._pending.entries()].filter(([key]) =>
-      ![...model.calls.values()].some((call) => call.key === key)).map(([, each]) => each));
+  /**
+   * STOP is sent as soon as it is pressed. A touch may bring no click at all: a second finger, one
+   * that slips or one that stays. Only a key brings a click alone.
+   */
+  _listen(button) {
+    let pressedAt = -Infinity;
+    button.addEventListener('pointerdown', (event) => {
+      if (event.button !== 0) return;
+      pressedAt = performance.now();
+      this._sendStop();
+    });
+    button.addEventListener('click', () => {
+      if (performance.now() - pressedAt > CLICK_OF_PRESS) this._sendStop();
+    });
   }
 
-  /** The panel refused the command with this key. */
-  refused({key, words}) {
-    const request = this._pending.get(key);
-    if (!request) return;
-    this._pending.delete(key);
-    this._addAnswer(request.words, 'refused', words);
-  }
-
-  /** Stop all that moves, whatever the page shows. */
-  stop() {
-    this._stop = {at: this._connection.now(), key: this._send('~stop', {stop: {}}, 'STOP')};
+  _sendStop() {
+    const key = this._newKey();
+    this._stop = {key, at: this._connection.now(), sent: this._connection.send({stop: {key}})};
   }
 
   /** Why the latest STOP of this page may not hold; '' if it is confirmed or long ago. */
-  stopTrouble(model, now) {
+  stopTrouble(now) {
     const age = now - this._stop.at;
-    const call = [...model.calls.values()].find(({key}) => key === this._stop.key);
-    if (call?.outcome === 'done' || age < STOP_ANSWER && !call?.outcome) return '';
-    if (call && !call.outcome) return `STOP: no answer from the bridge for ${formatAge(age)}`;
-    return age > STOP_SHOWN ? '' : `STOP: ${call?.words ?? 'no answer from the panel'}`;
+    const call = [...this._model.calls.values()].find(({key}) => key === this._stop.key);
+    if (call?.outcome === 'done' || age > STOP_SHOWN && call?.outcome) return '';
+    if (call?.outcome) return `STOP: ${call.words}`;
+    if (age > STOP_SHOWN && !call) return '';
+    if (!this._stop.sent && age < STOP_SHOWN) return 'STOP was not sent: no connection';
+    return age < STOP_ANSWER ? ''
+      : `STOP: no answer from the bridge for ${formatAge(age)}; zeros are sent`;
   }
 
-  _settle(model) {
-    for (const call of model.calls.values()) {
-      const request = this._pending.get(call.key);
-      if (!request || !call.outcome) continue;
-      this._pending.delete(call.key);
-      this._announce(`${request.words}: ${call.outcome}, ${call.words}`);
+  _newKey() { return `${Date.now()}.${this._presses++}`; }
+
+  /** Send a command; its button is disabled meanwhile. `message` has one key. */
+  send(button, name, message, done = null) {
+    const key = this._newKey(), [[kind, values]] = Object.entries(message);
+    if (!this._connection.alive || !this._connection.send({[kind]: {key, ...values}})) {
+      this._tell(name, 'refused', 'nothing was sent: no connection to the panel');
+      return;
     }
+    button.disabled = true;
+    this._pending.set(key, {button, at: this._connection.now(), name, done});
+  }
+
+  /** Show an answer that the panel does not have. */
+  _tell(name, outcome, words) {
+    this._model.calls.set(this._newKey(), {name, values: {}, outcome, words,
+      began: this._connection.now()});
+  }
+
+  _refused({key, words}) {
+    const request = this._pending.get(key);
+    if (!request) return;
+    this._tell(request.name, 'refused', words);
+    request.refused = true;
   }
 
   _lost() {
-    for (const [key, request] of this._pending) {
+    for (const [key, {button, name, done}] of this._pending) {
       this._pending.delete(key);
-      this._addAnswer(request.words, 'not known', 'the connection was lost before the answer was received; '
-        + 'check the robot before you repeat it');
+      button.disabled = false;
+      done?.();
+      this._tell(name, 'not known', 'the connection was lost before the answer; check the robot');
     }
   }
 
-  _addAnswer(what, outcome, words) {
-    this._answers.add({what, outcome, words, at: this._connection.now()});
-    this._announce(`${what}: ${outcome}, ${words}`);
-  }
-
-  /** Send a command once; `message` has one key, and its value gets the key of the command. */
-  _request(event, name, message, words) {
-    // The second click of a double click must not move anything again.
-    if (event.detail > 1) return;
-    if (hasJustAppeared()) {
-      this._addAnswer(words, 'refused', `nothing was sent: ${APPEARED}; press again`);
+  draw(model, now) {
+    this._go.hidden = !model.control || !model.stopped(now);
+    for (const [key, request] of this._pending) {
+      const answered = request.refused
+        || [...model.calls.values()].some((call) => call.key === key && call.outcome);
+      if (!answered || now - request.at < GUARD) continue;
+      this._pending.delete(key);
+      request.button.disabled = false;
+      request.done?.();
+    }
+    if (!model.control) {
+      if (this._body.textContent !== READ_ONLY) this._body.replaceChildren(READ_ONLY);
       return;
     }
-    for (const button of this._groups.get(name)) {
-      button.disabledUntil = performance.now() + LEAST_DISABLED;
-      updateAttribute(button, 'disabled', true);
-    }
-    this._send(name, message, words);
+    this._build(model.forms);
+    for (const form of this._forms.values()) form.draw(model, now);
+    this._list(model, now);
   }
 
-  /** Send a command; return the key of its answer. */
-  _send(name, message, words) {
-    const key = `${Date.now()}.${presses++}`, at = this._connection.now();
-    const [[kind, values]] = Object.entries(message);
-    // STOP may help also where no update is received: the panel may take it nevertheless, or later.
-    if ((kind === 'stop' || this._connection.alive) && this._connection.send({[kind]: {key, ...values}})) {
-      this._pending.set(key, {name, words, at});
-    } else {
-      this._addAnswer(words, 'refused', 'nothing was sent: no connection to the panel');
-    }
-    return key;
-  }
-
-  // -- building ------------------------------------------------------------------------------
-
-  _explainReadOnly() {
-    for (const [key, {element}] of this._forms) this._remove(key, element);
-    this._body.replaceChildren(...READ_ONLY.map((words) => h('p', {class: 'words'}, words)));
-  }
-
-  /** Show a form for each command. One that has not changed keeps its place, and what was entered. */
-  _build({services, messages, led_limit: ledLimit}) {
-    const wanted = new Map(), plain = new Map();
-    for (const [name, each] of Object.entries(services)) {
-      if (name === '~stop') continue;       // its buttons are in the page's head
-      if (each.title && !each.fields.length && !each.confirm) {
-        if (!plain.has(each.link)) plain.set(each.link, []);
-        plain.get(each.link).push([name, each.title]);
-      } else {
-        wanted.set(`service ${name}`, [each, () => this._service(name, each)]);
-      }
-    }
-    for (const [link, calls] of plain) wanted.set(`link ${link}`, [calls, () => this._plain(link, calls)]);
-    wanted.set('led', [ledLimit, () => this._led(ledLimit)]);
-    for (const [name, each] of Object.entries(messages)) {
-      wanted.set(`message ${name}`, [each, () => this._form(name, each, false)]);
-    }
+  /** Make the forms. One that has not changed keeps its place, and what was entered. */
+  _build(wanted) {
+    if (wanted === this._built) return;
+    this._built = wanted;
+    const shapes = new Map(Object.entries(wanted).filter(([, form]) => !isOfPad(form))
+      .map(([name, form]) => [name, JSON.stringify(form)]));
     if (!this._forms.size) this._body.replaceChildren();
-    for (const [key, {shape, element}] of this._forms) {
-      if (JSON.stringify(wanted.get(key)?.[0]) !== shape) this._remove(key, element);
+    for (const [name, form] of this._forms) {
+      if (shapes.get(name) === form.shape) continue;
+      form.element.remove();
+      this._forms.delete(name);
     }
-    for (const [key, [description, make]] of wanted) {
-      if (this._forms.has(key)) continue;
-      const element = make();
-      this._forms.set(key, {shape: JSON.stringify(description), element});
-      this._body.append(element);
-      appear();     // others may have moved under the pointer
+    for (const name of shapes.keys()) {
+      if (this._forms.has(name)) continue;
+      this._forms.set(name, new Form(this, name, wanted[name]));
+      this._body.append(this._forms.get(name).element);
     }
   }
 
-  _remove(key, element) {
-    this._forms.delete(key);
-    for (const {name, place} of this._reasons) if (element.contains(place)) this._groups.delete(name);
-    this._reasons = this._reasons.filter(({place}) => !element.contains(place));
-    this._settings = this._settings.filter(([,, place]) => !element.contains(place));
-    element.remove();
-    appear();
-  }
-
-  /** A group of controls, whose legend has the reason why they cannot be used. */
-  _fieldset(title, names, link, isCall, ...children) {
-    const place = h('span', {class: 'reason'});
-    for (const name of names) this._reasons.push({name, link, isCall, place});
-    return h('fieldset', {'data-service': names[0]}, h('legend', {}, title, ' ', place), ...children);
-  }
-
-  _button(name, words, press) {
-    const button = h('button', {type: 'button', onclick: press}, words);
-    button.disabledUntil = 0;
-    if (!this._groups.has(name)) this._groups.set(name, []);
-    this._groups.get(name).push(button);
-    return button;
-  }
-
-  /** The form of a service. */
-  _service(name, each) {
-    return each.confirm ? this._confirmed(name, each) : this._form(name, each, true);
-  }
-
-  /** The services of a link that take nothing. */
-  _plain(link, calls) {
-    return this._fieldset(link, calls.map(([name]) => name), link, true, h('div', {class: 'controls'},
-      ...calls.map(([name, words]) =>
-        this._button(name, words, (event) => this._request(event, name, {call: {name, arguments: {}}}, words)))));
-  }
-
-  _led(limit) {
-    const input = h('input', {type: 'text', maxlength: String(limit), placeholder: 'other', size: '8', required: true,
-      'aria-label': 'other text for the LED'});
-    const show = (event, text) => this._request(event, '~led', {led: {text}}, `LED ${text}`);
-    return this._fieldset('LED', ['~led'], 'arduino', false, h('div', {class: 'controls'},
-      ...LEDS.map((text) => this._button('~led', text, (event) => show(event, text))),
-      input, this._button('~led', 'show', (event) => { if (input.reportValidity()) show(event, input.value); })));
-  }
-
-  /** A service that takes nothing, and is called after a confirmation only. */
-  _confirmed(name, {link, title, confirm}) {
-    const yes = this._button(name, 'Start now', (event) => {
-      dialog.close();
-      this._request(event, name, {call: {name, arguments: {}}}, title);
+  _list(model, now) {
+    const all = [...model.calls.values()].sort((one, other) => other.began - one.began);
+    const lines = all.slice(0, SHOWN).map((call) => {
+      const reply = (call.reply ?? []).map(([name, value]) => `${name}: ${value}`).join(', ');
+      return [call.outcome ?? 'under way', describe(call, model.forms),
+        call.outcome ? `${call.words} ${reply}` : `for ${formatAge(now - call.began)}`];
     });
-    const id = `confirm-${name.replace(/\W/g, '-')}`;
-    // Not modal: STOP must work beside it.
-    const dialog = h('dialog', {'aria-labelledby': id},
-      h('h2', {id}, `${title[0].toUpperCase()}${title.slice(1)}?`), h('p', {}, confirm),
-      h('div', {class: 'controls'}, yes, h('button', {type: 'button', onclick: () => dialog.close()}, 'Cancel')));
-    return this._fieldset(title, [name], link, true, h('div', {class: 'controls'},
-      this._button(name, 'start …', () => dialog.show()),
-      ...name === CALIBRATE ? [this._calibrateNote] : []), dialog);
+    const shape = JSON.stringify(lines);
+    if (shape === this._shown) return;
+    this._shown = shape;
+    this._answers.replaceChildren(...lines.map(([outcome, what, words]) =>
+      h('li', {'data-outcome': outcome}, h('b', {}, what), words.startsWith(outcome)
+        ? ` ${words}` : ` ${outcome}: ${words}`)));
   }
+}
 
-  /** The form of a service or of a custom command; a field with choices has a button for each. */
-  _form(name, {link, fields, title, setting, about}, isCall) {
+/** A command as text: its title and its values. */
+function describe({name, values}, forms) {
+  if (name === '~stop') return values.data === false ? 'release' : 'STOP';
+  const {title, fields} = forms[name] ?? {title: '', fields: []};
+  return [title || name.replace('~', ''), ...Object.entries(values).map(([key, value]) => {
+    const field = fields.find((each) => each.name === key);
+    const choice = field?.choices?.find(([, each]) => each === value);
+    return choice ? choice[0] : `${value} ${unitOf(field?.unit ?? '')}`.trim();
+  })].join(' ');
+}
+
+/** One form: its fields, and a button; a button for each choice of a field that has some. */
+class Form {
+  constructor(commands, name, described) {
+    const {link, title, fields, confirm, setting, about, isCall} = described;
+    this.shape = JSON.stringify(described);
+    this._link = link;
+    this._reason = h('span', {class: 'reason'});
+    this._inputs = [];      // [field, input]
     const heading = title || name.replace('~', '');
-    if (fields.some((field) => field.kind === 'other')) {
-      return h('fieldset', {}, h('legend', {}, heading), h('p', {class: 'words'},
-        'its request has fields within fields; call it with rosservice'));
-    }
     const choice = fields.find((field) => field.choices?.length);
-    const inputs = makeInputs(fields.filter((field) => field !== choice));
-    const request = (event, chosen) => {
-      const entered = inputs.read();
-      if (!entered) return;
-      const values = {...entered, ...chosen};
-      this._request(event, name, isCall ? {call: {name, arguments: values}} : {send: {name, values}},
-        describe({name, arguments: values}, {[name]: {title, fields}}));
+    const send = (button, more = {}, done = null) => {
+      if (!this._inputs.every(([field, input]) => check(field, input))) return;
+      const values = Object.fromEntries(this._inputs.map(([field, input]) =>
+        [field.name, valueOf(field, input)]));
+      commands.send(button, name, {send: {name, values: {...values, ...more}}}, done);
     };
-    const buttons = choice
-      ? choice.choices.map(([label, value]) =>
-        this._button(name, label, (event) => request(event, {[choice.name]: value})))
-      : [this._button(name, setting ? 'set' : isCall ? 'call' : 'send', (event) => request(event, {}))];
-    const more = [];
+    const button = (words, more) => {
+      const made = h('button', {type: 'button', onclick: () => send(made, more)}, words);
+      return made;
+    };
+    const set = h('button', {type: 'button'}, 'set');
+    const parts = fields.filter((field) => field !== choice).map((field) => {
+      const input = makeInput(field);
+      this._inputs.push([field, input]);
+      const beside = typeof field.preset === 'number' ? unitOf(field.unit) : limits(field);
+      const name = fields.length > 1 && field.preset === null ? `${field.name} ` : '';
+      return h('label', {}, name, input, h('span', {class: 'note'}, ` ${beside}`));
+    });
     if (setting) {
-      const board = h('b', {class: 'board-value'});
-      const number = inputs.elements[0].querySelector('input'), sliders = slider(setting, fields[0], number, request);
-      this._settings.push([setting, link, board, [number, ...sliders]]);
-      more.push(h('span', {class: 'note'}, 'board: ', board), ...sliders);
-      if (about) more.push(h('p', {class: 'words'}, about));
+      parts.push(set, ...this._setting(setting, fields[0], send, set));
+    } else if (choice) {
+      parts.push(...choice.choices.map(([words, value]) => button(words, {[choice.name]: value})));
+    } else {
+      parts.push(button(fields.length ? isCall ? 'call' : 'send' : heading));
     }
-    return this._fieldset(heading, [name], link, isCall,
-      h('div', {class: 'controls'}, ...inputs.elements, ...buttons, ...more));
+    const head = fields.length ? [h('h3', {title: about || null}, heading, ' ', this._reason)] : [];
+    this.element = confirm
+      ? h('details', {class: 'form'}, h('summary', {}, `${heading} …`),
+        h('p', {class: 'note'}, confirm), ...parts)
+      : h('div', {class: fields.length ? 'form' : 'form plain'}, ...head,
+        h('div', {class: 'row'}, ...parts));
+    this.element.dataset.form = name;
   }
 
-  _calibrating(model, now) {
-    const last = model.topic('~imu/calibrating').last;
-    updateText(this._calibrateNote, last?.[1] !== true ? ''
-      : `calibrating for ${formatAge(Math.max(0, now - last[0]))} of over 5 min; do not move the car`);
+  /**
+   * The board's own value, and a slider between the limits. Its last value is sent, always: what is
+   * chosen while another is under way is sent when that is answered.
+   */
+  _setting(setting, field, send, button) {
+    const [[, number]] = this._inputs;
+    this._name = setting;
+    this._board = h('b', {class: 'board-value'}, '?');
+    let again = false;
+    const sendLast = () => {
+      again = button.disabled;
+      if (!again) send(button, {}, () => { if (again) sendLast(); });
+    };
+    button.addEventListener('click', sendLast);
+    const parts = [h('span', {class: 'note'}, 'board: ', this._board)];
+    const {low, high, whole} = field;
+    if (field.kind !== 'number' || low === null || high === null) return parts;
+    const slide = h('input', {type: 'range', min: low, max: high, 'aria-label': setting,
+      step: whole ? '1' : String((high - low) / 500), onchange: sendLast});
+    slide.addEventListener('input', () => { number.value = Number(slide.value).toPrecision(4); });
+    number.addEventListener('input', () => { slide.value = number.value; });
+    this._inputs[0].push(slide);
+    return [...parts, slide];
+  }
+
+  draw(model, now) {
+    this.element.hidden = !model.links.has(this._link);
+    setText(this._reason, model.whyNot(this._link, now));
+    if (!this._board) return;
+    // From the values of /diagnostics: kp=2, ramp=?
+    const known = (model.links.get(this._link)?.values.settings ?? '').split(', ')
+      .find((each) => each.startsWith(`${this._name}=`))?.slice(this._name.length + 1) ?? '?';
+    setText(this._board, known);
+    if (known === '?' || this._begun) return;
+    this._begun = true;         // the form begins with the board's value
+    const [, number, slide] = this._inputs[0];
+    if (number.type === 'checkbox') number.checked = known === 'true';
+    else if (!number.value) number.value = known;
+    if (slide) slide.value = known;
   }
 }
 
-/** The board's own value of a setting, from the values of /diagnostics: kp=2, ramp=? */
-function boardValue(link, setting) {
-  const found = (link?.values?.['settings'] ?? '').split(', ').find((each) => each.startsWith(`${setting}=`));
-  return found ? found.slice(setting.length + 1) : '?';
+function makeInput({name, kind, whole, low, high, preset}) {
+  if (kind === 'bool') return h('input', {type: 'checkbox', 'aria-label': name});
+  if (kind !== 'number') return h('input', {type: 'text', 'aria-label': name});
+  return h('input', {type: 'number', 'aria-label': name, value: preset ?? null, min: low, max: high,
+    step: whole ? '1' : 'any', inputmode: 'decimal', required: true});
 }
 
-/** Enter the board's value of a setting, unless something is entered already. */
-function begin(input, value) {
-  if (input.type === 'checkbox') input.checked = value === 'true';
-  else if (!input.value || input.type === 'range') input.value = value;
+/** The unit and the limits of a field as text. */
+function limits({kind, low, high, unit}) {
+  if (kind === 'bool') return '';
+  const range = low === null && high === null ? '' : low === null ? `≤ ${formatNumber(high)}`
+    : high === null ? `≥ ${formatNumber(low)}` : `${formatNumber(low)} … ${formatNumber(high)}`;
+  const list = kind === 'array' ? 'numbers with spaces' : '';
+  return [unitOf(unit), range, list].filter(Boolean).join(', ');
 }
 
-/** A slider for a number with limits, which is sent when it is let go. */
-function slider(setting, {kind, low, high, whole}, number, request) {
-  if (kind !== 'number' || low === null || high === null) return [];
-  const made = h('input', {type: 'range', min: low, max: high, step: whole ? '1' : String((high - low) / 500),
-    'aria-label': `${setting}, slider`});
-  made.addEventListener('input', () => { number.value = made.value; });
-  made.addEventListener('change', (event) => request(event, {}));
-  number.addEventListener('input', () => { made.value = number.value; });
-  return [made];
+/** Whether the input is valid; otherwise the browser shows why. An empty field is not 0. */
+function check(field, input) {
+  if (field.kind === 'array') {
+    const right = valueOf(field, input).every(Number.isFinite);
+    input.setCustomValidity(right ? '' : `Enter numbers: ${limits(field)}`);
+  }
+  return input.reportValidity();
+}
+
+function valueOf({kind}, input) {
+  if (kind === 'bool') return input.checked;
+  if (kind === 'array') return input.value.trim().split(/[\s,;]+/).filter(Boolean).map(Number);
+  return kind === 'number' ? Number(input.value) : input.value;
 }

@@ -1,163 +1,132 @@
-/** Cards of topics, by the boards' descriptions: several topics in a card with a title, or one each. */
-import {card, formatAge, formatNumber, h, unit, updateAttribute, updateText} from '../dom.js';
-import {Plot} from '../plot.js';
-import {Reading} from '../reading.js';
+/** A card for each topic, by its fields: numbers, plots, and bars where a field has limits. */
+import {card, formatAge, formatNumber, h, setAttribute, setText, unitOf} from '../dom.js';
+import {MOST_CURVES, Plot} from '../plot.js';
 
-const COLOURS = ['--line-1', '--line-2', '--line-3', '--line-4', '--line-5'];
-const MAX_CURVES = COLOURS.length;    // curves of one topic
+const MOST_PLOTS = 3;       // of a topic
 
-/** Fields with this in common share an axis: a unit, or being parts of one vector or array. */
+/** Fields with this in common share a plot: a unit, or being parts of one vector or array. */
 function axisOf({name, unit}) {
-  if (unit) return `unit ${unit}`;
-  return /(^|\.)[xyzw]$|\[\d+\]$/.test(name) ? name.replace(/\w$|\[\d+\]$/, '') + '*' : name;
-}
-
-/** A field with limits, as a bar between them. */
-class Bar {
-  constructor(topic, field) {
-    this._topic = topic.name;
-    this._field = field.name;
-    const name = topic.fields.length > 1 ? field.name : topic.name.split('/').pop().replaceAll('_', ' ');
-    this._fill = h('span', {class: 'fill'});
-    this._bar = h('div', {class: 'bar', role: 'meter', 'aria-label': name}, this._fill);
-    this._low = h('span', {class: 'limit'});
-    this._high = h('span', {class: 'limit'});
-    this._words = h('span', {class: 'number'}, '–');
-    this._age = h('span', {class: 'age'});
-    this.element = h('div', {class: 'range', 'data-range': `${topic.name}:${field.name}`},
-      h('div', {class: 'range-head'}, h('span', {class: 'label'}, name),
-        h('span', {class: 'value'}, this._words), this._age),
-      this._bar, h('div', {class: 'limits'}, this._low, this._high));
-  }
-
-  draw(model, now) {
-    const topic = model.topic(this._topic), field = topic.field(this._field);
-    const value = topic.value(this._field), stale = topic.stale(now);
-    updateAttribute(this.element, 'data-state', stale ? 'stale' : 'fresh');
-    updateText(this._age, stale ? `${formatAge(topic.age(now))} old` : '');
-    const text = (number, digits) => `${formatNumber(number, digits)} ${unit(field.unit)}`.trim();
-    const words = topic.fields.length > 1 ? text(value, field.digits) : topic.words;
-    updateText(this._words, words);
-    updateText(this._low, text(field.low, field.digits ? 2 : 0));
-    updateText(this._high, text(field.high, field.digits ? 2 : 0));
-    const part = Number.isNaN(value) ? 0
-      : Math.min(1, Math.max(0, (value - field.low) / (field.high - field.low)));
-    this._fill.style.width = `${(part * 100).toFixed(1)}%`;
-    updateAttribute(this.element, 'data-beyond', Number.isNaN(value) ? 'none' : value === Infinity ? 'far'
-      : value === -Infinity ? 'near' : null);
-    updateAttribute(this._bar, 'aria-valuemin', field.low);
-    updateAttribute(this._bar, 'aria-valuemax', field.high);
-    updateAttribute(this._bar, 'aria-valuenow', (field.low + part * (field.high - field.low)).toFixed(3));
-    updateAttribute(this._bar, 'aria-valuetext', words);
-  }
+  const part = name.match(/^(.*)[. ][xyzw]$|^(.*)\[\d+\]$/);
+  return part ? `of ${part[1] ?? part[2]}` : unit ? `unit ${unit}` : name;
 }
 
 const hasLimits = ({low, high}) => low !== null && high !== null && low < high;
 
-/** One topic in a card: bars, plots and numbers. */
-class Section {
-  constructor(name, withPlots) {
-    this.name = name;
-    this._withPlots = withPlots;
-    this._shape = null;
-    this._parts = [];
-    this._words = h('p', {class: 'words status-line'}, withPlots ? 'no message received yet' : '');
-    this.element = h('div', {class: 'custom'}, this._words);
+/** A value with its name and unit, and a bar where it has limits. */
+class Reading {
+  constructor(field) {
+    this.name = field.name;
+    this._field = field;
+    this._number = h('span', {class: 'number'}, '–');
+    this._fill = h('span', {class: 'fill'});
+    const bar = hasLimits(field) ? [h('div', {class: 'bar'}, this._fill)] : [];
+    this.element = h('div',
+      {class: bar.length ? 'reading wide' : 'reading', 'data-reading': field.name},
+      h('span', {class: 'label', title: field.name}, field.name.split('.').slice(-2).join('.')),
+      h('span', {class: 'value'}, this._number, h('span', {class: 'unit'}, unitOf(field.unit))),
+        ...bar);
   }
 
-  draw(model, now) {
-    const topic = model.topic(this.name);
-    const shape = topic.fields.map((field) => `${field.name} ${hasLimits(field)}`).join();
-    if (topic.last && shape !== this._shape) {
-      this._shape = shape;
-      this._build(topic);
-    }
-    this._parts.forEach((part) => part.draw(model, now));
-    if (topic.words) updateText(this._words, topic.words);
-  }
-
-  _build(topic) {
-    const bars = topic.fields.filter(hasLimits), others = topic.fields.filter((field) => !hasLimits(field));
-    const numbers = topic.fields.filter((field) => typeof topic.last[field.at] !== 'string');
-    const readings = others.map((field) => new Reading(field.name, this.name, field.name));
-    const drawn = bars.map((field) => new Bar(topic, field));
-    const plots = this._withPlots ? this._plots(numbers) : [];
-    this._parts = [...drawn, ...plots, ...readings];
-    // The text of a message says more than its numbers only in a card of several topics.
-    const words = !this._withPlots && others.length > 1 || !topic.fields.length ? [this._words] : [];
-    this.element.replaceChildren(...drawn.map((each) => each.element), ...plots.map((each) => each.element),
-      ...readings.length ? [h('div', {class: 'readings'}, ...readings.map((each) => each.element))] : [],
-      ...words);
-  }
-
-  _plots(numbers) {
-    const axes = new Map();
-    for (const field of numbers.slice(0, MAX_CURVES)) {
-      const axis = axisOf(field);
-      if (!axes.has(axis)) axes.set(axis, []);
-      axes.get(axis).push(field);
-    }
-    return [...axes.values()].map((fields) => new Plot(
-      fields.length > 1 ? unit(fields[0].unit) : `${fields[0].name} ${unit(fields[0].unit)}`.trim(),
-      fields.map((field, index) => ({topic: this.name, field: field.name, colour: COLOURS[index], name: field.name})),
-      {least: 1e-3, digits: null, high: 84}));
+  draw(value) {
+    const {digits, low, high} = this._field;
+    setText(this._number, formatNumber(value, digits));
+    if (!hasLimits(this._field)) return;
+    const part = Number.isNaN(value) ? 0 : Math.min(1, Math.max(0, (value - low) / (high - low)));
+    const width = `${(part * 100).toFixed(0)}%`;
+    if (this._fill.style.width !== width) this._fill.style.width = width;
+    setAttribute(this._fill, 'data-beyond', value === Infinity || null);
   }
 }
 
+/** A topic, and the numbers of those whose names continue its: with ~imu also ~imu/temperature. */
 class TopicCard {
-  /** @param entries [[name of a topic, {type, card}]] */
-  constructor(title, entries) {
-    const [[name, {type}]] = entries;
-    this._sections = entries.map(([topic]) => new Section(topic, !title));
-    this._isOwn = !title;
-    this.element = card(title || name, title ? entries.map(([topic]) => topic).join(', ') : type,
-      ...this._sections.map((each) => each.element));
-    this.element.dataset.custom = title || name;
-    this.element.dataset.tab = 'Sensors';
-    this.element.hidden = !this._isOwn;
+  constructor(topic) {
+    this.topic = topic;
+    this._shape = null;
+    this._readings = [];    // [topic, index of the field, Reading]
+    this.plots = [];
+    this._age = h('span', {class: 'age'});
+    this._body = h('div', {class: 'topic'}, h('p', {class: 'note'}, 'no message received yet'));
+    this.element = card(topic.name, topic.type, this._body);
+    this.element.dataset.topic = topic.name;
+    this.element.querySelector('header').append(this._age);
   }
 
-  get topics() { return this._sections.map((each) => each.name); }
+  draw(parts, now) {
+    const {topic} = this, all = [topic, ...parts].filter((each) => each.values.length);
+    const shape = JSON.stringify(all.map((each) => [each.name, each.fields]));
+    if (topic.values.length && shape !== this._shape) {
+      this._shape = shape;
+      this._build(all);
+    }
+    const state = topic.state(now);
+    setAttribute(this.element, 'data-state', state);
+    setText(this._age, state === 'stale' ? `${formatAge(topic.age(now))} old` : '');
+    for (const [from, index, reading] of this._readings) reading.draw(from.values[index]);
+  }
 
-  draw(model, now) {
-    // Not every board sends the topics that its description has.
-    this.element.hidden = !this._isOwn && !this.topics.some((name) => model.topic(name).last);
-    this._sections.forEach((each) => each.draw(model, now));
+  _build(all) {
+    const axes = new Map(), {topic} = this, names = new Set();
+    topic.fields.forEach((field, index) => {
+      if (typeof topic.values[index] === 'string') return;
+      const axis = axisOf(field), fields = axes.get(axis) ?? axes.set(axis, []).get(axis);
+      if (fields.length < MOST_CURVES) fields.push({...field, at: index + 1});
+    });
+    this._readings = all.flatMap((from) => from.fields.map((field, index) => {
+      const name = from === topic || field.name !== 'data' ? field.name
+        : from.name.split('/').pop();
+      return [from, index, new Reading({...field, name})];
+    })).filter(([, , {name}]) => !names.has(name) && names.add(name));
+    this.plots = [...axes.values()].slice(0, MOST_PLOTS).map((fields) => new Plot(topic, fields));
+    this._body.replaceChildren(h('div', {class: 'readings'},
+      ...this._readings.map(([, , each]) => each.element)),
+      ...this.plots.map((each) => each.element));
   }
 }
 
-export class TopicCards {
-  constructor() { this._cards = new Map(); }      // key -> {shape, card}
-
-  /** The topics that have a card. */
-  get topics() { return [...this._cards.values()].flatMap((each) => each.card.topics); }
-
-  get elements() { return [...this._cards.values()].map((each) => each.card.element); }
-
-  /** Add and remove cards for what the bridge publishes; return whether any changed. */
-  learn(known) {
-    const wanted = new Map();
-    for (const entry of Object.entries(known)) {
-      const [name, {card: title}] = entry;
-      if (title === null) continue;
-      const key = title ? `card ${title}` : `topic ${name}`;
-      if (!wanted.has(key)) wanted.set(key, {title, entries: []});
-      wanted.get(key).entries.push(entry);
-    }
-    let changed = false;
-    for (const [key, {shape, card: made}] of this._cards) {
-      if (JSON.stringify(wanted.get(key)) === shape) continue;
-      made.element.remove();
-      this._cards.delete(key);
-      changed = true;
-    }
-    for (const [key, each] of wanted) {
-      if (this._cards.has(key)) continue;
-      this._cards.set(key, {shape: JSON.stringify(each), card: new TopicCard(each.title, each.entries)});
-      changed = true;
-    }
-    return changed;
+/** The cards of all topics of the bridge. */
+export class Topics {
+  constructor(place) {
+    this._place = place;
+    this._cards = new Map();
+    this.held = false;      // whether the plots stand
   }
 
-  draw(model, now) { this._cards.forEach((each) => each.card.draw(model, now)); }
+  get _plots() { return [...this._cards.values()].flatMap((each) => each.plots); }
+
+  draw(model, now) {
+    const parts = new Map([...model.topics.keys()].map((name) => [name, []]));
+    for (const [name, topic] of model.topics) {
+      const whole = name.slice(0, Math.max(0, name.lastIndexOf('/')));
+      if (parts.has(whole)) {
+        parts.get(whole).push(topic);
+        parts.delete(name);
+      }
+    }
+    for (const name of parts.keys()) {
+      const topic = model.topics.get(name);
+      if (this._cards.get(name)?.topic === topic) continue;
+      const made = new TopicCard(topic), old = this._cards.get(name);
+      if (old) old.element.replaceWith(made.element);
+      else this._place.append(made.element);
+      this._cards.set(name, made);
+    }
+    for (const [name, each] of this._cards) {
+      if (parts.has(name)) {
+        each.draw(parts.get(name), now);
+      } else {
+        each.element.remove();
+        this._cards.delete(name);
+      }
+    }
+  }
+
+  /** Draw the plots until `end`, a time of the day in s. */
+  drawPlots(end) { this._plots.forEach((each) => each.draw(end)); }
+
+  /** Let all plots stand, or move again. */
+  hold(held) {
+    this.held = held;
+    this._plots.forEach((each) => each.hold(held));
+  }
 }

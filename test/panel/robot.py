@@ -1,0 +1,113 @@
+"""A master, a robot, and a panel that the tests in a browser share."""
+import os
+import re
+import signal
+import subprocess
+import threading
+
+import rosgraph
+import rospy
+from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, Output, SensorBoard, free_master,
+                    level_imu, program, ranges, until)
+
+from serial_communication.boards.arduino import DESCRIPTION, wire as arduino
+
+NODE = '/serial_communication'
+ROWS = {'cmd_vel': {'type': 41, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Twist',
+                    'layout': '<ff', 'fields': ['linear.x', 'angular.z']}}
+TWIST = DESCRIPTION.read('messages', ROWS)[0].message
+
+
+class Core:
+    """A roscore of its own; it sets ROS_MASTER_URI."""
+
+    def __init__(self):
+        os.environ['ROS_MASTER_URI'] = free_master()
+        os.environ['ROS_HOSTNAME'] = 'localhost'
+        self.start()
+
+    def start(self):
+        """Start it, and wait until it is complete."""
+        self._process = subprocess.Popen(
+            ['roscore', '-p', os.environ['ROS_MASTER_URI'].rsplit(':', 1)[1]],
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+        def complete():
+            return rosgraph.is_master_online() and any(
+                name == '/rosout' for name, _nodes in
+                rosgraph.Master('/panel_test').getSystemState()[1])
+        until(complete, 'roscore is complete', every=0.1)
+
+    def stop(self):
+        """Stop it, and wait until it has ended."""
+        self._process.send_signal(signal.SIGINT)
+        self._process.wait(PATIENCE)
+
+
+class Robot:
+    """Lines, boards that send as real ones do, and a bridge."""
+
+    def __init__(self, folder):
+        self.lines = {name: Line(os.path.join(folder, name)).plug()
+                      for name in ('bus', 'arduino', 'mcu')}
+        self.bus = BusBoard(self.lines['bus'].far, polled=True)
+        self.car = CarBoard(self.lines['arduino'].far, messages=[TWIST])
+        self.sensors = SensorBoard(self.lines['mcu'].far)
+        self._ended = threading.Event()
+        threading.Thread(target=self._send, daemon=True).start()
+        self.start_bridge()
+
+    def start_bridge(self):
+        """Start the bridge, and wait for its services."""
+        self.bridge = Bridge(parameters={
+            **{f'{name}/port': line.near for name, line in self.lines.items()},
+            'bus/environment_period': 0.2,
+            'arduino/settings': {'kp': {'setting': 1, 'layout': '<f', 'minimum': 0, 'maximum': 10,
+                                        'unit': '1/s', 'description': 'proportional gain'}},
+            'arduino/messages': ROWS})
+        rospy.wait_for_service(NODE + '/calibrate_imu', PATIENCE)
+
+    def end(self):
+        """End the bridge, the boards and the lines."""
+        self._ended.set()
+        self.bridge.end()
+        for board in (self.bus, self.car, self.sensors):
+            board.close()
+        for line in self.lines.values():
+            line.unplug()
+
+    def _send(self):
+        while not self._ended.wait(0.02):
+            for message in (level_imu(), arduino.Voltage(7.4), arduino.Ticks(3),
+                            arduino.SteeringAngle(600)):
+                self.car.say(message)
+            self.sensors.say(ranges())
+
+    @property
+    def twists(self):
+        """The commands cmd_vel that the car's board has received: (linear.x, angular.z)."""
+        return [tuple(message) for message in self.car.messages(TWIST)]
+
+
+class Panel:
+    """A panel in a process of its own. As a context it ends with its block, and has to end well."""
+
+    def __init__(self, *arguments, name='panel'):
+        self._output = Output()
+        self.process = subprocess.Popen(
+            [program('panel'), '--port', '0', *arguments, '__name:=' + name],
+            stdout=self._output, stderr=subprocess.STDOUT)
+        self.url = until(lambda: re.search(r'http://\S+', self.output()) or
+                         self.process.poll() is not None, 'the panel prints its address').group()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, *_):
+        self.process.send_signal(signal.SIGINT)
+        status = self.process.wait(PATIENCE)
+        assert kind or status == 0 and 'Traceback' not in self.output(), self.output()
+
+    def output(self):
+        """The output so far."""
+        return re.sub('\033\\[[0-9;]*m', '', self._output.text())

@@ -1,0 +1,286 @@
+"""What ends a hold of the pad, touch and keys, outages and hostile pages, in a real browser."""
+import contextlib
+import threading
+import time
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+import rospy
+from boards import again_if_stalled, until
+from panel_browser import Browser
+from robot import NODE, Panel
+from selenium.common.exceptions import WebDriverException
+from std_srvs.srv import SetBool
+from test_smoke import choose, hold
+
+from serial_communication.boards.arduino import wire as arduino
+
+HOSTILE = '<img src=x onerror=document.title="pwned"><script>document.title="pwned"</script>'
+REBINDING = 'rebinding.example'      # see panel_browser
+RIGHT, UP = '\ue014', '\ue013'
+
+
+@pytest.fixture
+def car(page, robot):
+    """The board of the car, which the pad drives."""
+    choose(page, 'car')
+    robot.car.forget()
+    return robot.car
+
+
+def drives(car):
+    return lambda: any(speed > 0 for speed in car.speeds)
+
+
+def has_stopped(car):
+    """The bridge's own SPEED 0, after a stall, is followed by the next command of the pad."""
+    return lambda: car.speeds[-1] == 0 and car.command_frames[-1].stamp < time.monotonic() - 0.3
+
+
+@contextlib.contextmanager
+def released(page):
+    page.release()
+    yield
+
+
+def scripted(text):
+    """A context that begins with this JavaScript."""
+    @contextlib.contextmanager
+    def begun(page):
+        page.script(text)
+        yield
+    return begun
+
+
+@contextlib.contextmanager
+def stopped(page):
+    """Another program calls ~stop, and releases it while the pad is still pressed."""
+    stop = rospy.ServiceProxy(NODE + '/stop', SetBool)
+    stop(True)
+    yield
+    page.wait(lambda page: page.text('#pad-words') == 'stopped until STOP is released', 'it ends')
+    until(lambda: stop(False).success, 'it is released')
+
+
+# Each is a context that ends the hold of the pad.
+ENDS = {
+    'the pad is released': released,
+    'another control gets the focus': scripted("document.querySelector('select').focus()"),
+    'the window loses the focus': scripted("window.dispatchEvent(new Event('blur'))"),
+    'the tab is hidden': Browser.other_tab,
+    'the page hangs': scripted(
+        'const end = performance.now() + 1500; while (performance.now() < end);'),
+    'the browser is frozen, as by a closed laptop': Browser.frozen,
+    'another program calls ~stop': stopped}
+
+
+@pytest.mark.parametrize('what', ENDS)
+def test_whatever_ends_a_hold_stops_the_car(page, car, what):
+    hold(page, drives(car))
+    with ENDS[what](page):
+        until(has_stopped(car), 'the car stops')
+    page.wait(lambda page: page.attribute('#pad', 'data-held') is None, 'the hold ends')
+    until(has_stopped(car), 'it does not drive again')
+    page.release()
+
+
+def test_the_car_stops_when_the_panel_ends(chromium, robot):
+    with Panel('--control', name='panel_ending') as panel:
+        chromium.open(panel.url)
+        chromium.wait_for_text('#connection', 'live')
+        choose(chromium, 'car')
+        robot.car.forget()
+        hold(chromium, drives(robot.car))
+    until(has_stopped(robot.car), 'the car stops')
+    chromium.release()
+    chromium.open('about:blank')
+    chromium.errors()       # it tried to connect again
+
+
+def touch(page, kind, selector='#pad', up=60):
+    """Send a touch at this element."""
+    x, y = page.script(
+        "const box = document.querySelector(arguments[0]).getBoundingClientRect();"
+        "return [box.left + box.width / 2, box.top + box.height / 2]", selector)
+    page.driver.execute_cdp_cmd('Input.dispatchTouchEvent', {
+        'type': kind, 'touchPoints': [{'x': x, 'y': y - up}] if kind != 'touchEnd' else []})
+
+
+def test_a_long_press_of_a_finger_holds_and_its_end_stops(page, car):
+    page.script("document.getElementById('pad').scrollIntoView({block: 'center'})")
+    page.driver.execute_cdp_cmd('Emulation.setTouchEmulationEnabled', {'enabled': True})
+    try:
+        def held():
+            car.forget()
+            touch(page, 'touchStart')
+            began = time.monotonic()
+            until(drives(car), 'the car drives')
+            page.script("document.getElementById('pad').dispatchEvent(new MouseEvent("
+                        "'contextmenu', {bubbles: true, cancelable: true}))")     # as Android does
+            until(lambda: time.monotonic() > began + 2, 'it is a long press')
+            lasts = page.attribute('#pad', 'data-held') is not None
+            touch(page, 'touchEnd')
+            until(has_stopped(car), 'the car stops')
+            return lasts and sum(speed > 0 for speed in car.speeds) > 20
+        again_if_stalled(held, 20)
+    finally:
+        page.driver.execute_cdp_cmd('Emulation.setTouchEmulationEnabled', {'enabled': False})
+
+
+def test_each_of_many_taps_drives_and_stops(page, car):
+    page.script("document.getElementById('pad').scrollIntoView({block: 'center'})")
+
+    def tapped():
+        car.forget()
+        for _ in range(9):
+            began = time.monotonic()
+            touch(page, 'touchStart')
+            until(lambda: time.monotonic() > began + 0.15)
+            touch(page, 'touchEnd')
+            until(lambda: time.monotonic() > began + 0.33)
+        until(has_stopped(car), 'the car stops')
+        changes = [speed > 0 for speed in car.speeds]
+        return sum(now and not before for before, now in zip([False] + changes, changes)) == 9
+    again_if_stalled(tapped, 20)
+
+
+def test_stop_is_sent_as_soon_as_it_is_pressed_and_once(page):
+    """A touch that slips or stays, or of a second finger, makes no click."""
+    assert page.script("""
+        const {send} = WebSocket.prototype, counts = [];
+        let count = 0;
+        WebSocket.prototype.send = function(text) {
+            count += text.includes('"stop"');
+            return send.call(this, text);
+        };
+        for (const part of ['pointerdown', 'click']) {
+            document.querySelector('#stop').dispatchEvent(new PointerEvent(part, {button: 0}));
+            counts.push(count);
+        }
+        WebSocket.prototype.send = send;
+        return counts;""") == [1, 1]
+    page.wait(lambda page: page.attribute('#stop', 'aria-pressed') == 'true', 'it holds')
+    page.click('#go')
+    page.wait(lambda page: page.attribute('#stop', 'aria-pressed') == 'false', 'it is released')
+
+
+def test_arrow_keys_drive_and_any_other_key_stops(page, car):
+    page.script("document.getElementById('pad').focus()")
+
+    def turns():
+        return arduino.SteeringCommand(1900) in car.commands() and 200 in car.speeds
+
+    def press():
+        if page.attribute('#pad', 'data-held') is None:
+            page.key_up(RIGHT)
+            page.key_up(UP)
+            page.key_down(UP)
+            page.key_down(RIGHT)
+    until(turns, 'the car drives', doing=press, every=0.3)
+    page.key_event('keyDown', 'x', 'KeyX')
+    until(has_stopped(car), 'the car stops')
+    page.key_up(RIGHT)
+    page.key_up(UP)
+
+
+def test_a_setting_is_sent_by_its_slider_always_the_last_value(page, robot):
+    form = '[data-form="~settings/arduino/kp"] '
+    page.wait(lambda page: page.all(form + 'input[type=range]'), 'it is there')
+    page.script("""
+        const slider = document.querySelector(arguments[0]);
+        for (const value of [1, 2, 3, 4.5]) {
+            slider.value = value;
+            slider.dispatchEvent(new Event('input'));
+            slider.dispatchEvent(new Event('change'));
+        }""", form + 'input[type=range]')
+    page.wait(lambda page: page.text('.answers').count('kp') >= 2, 'two answers: first and last')
+    page.wait(lambda page: rospy.get_param(NODE + '/settings/arduino/kp', 0) == 4.5,
+              'the last value is wanted')
+
+
+# -- outages and others -----------------------------------------------------------------------
+
+
+def test_markup_in_a_text_is_shown_as_text(page, robot):
+    page.script("document.querySelector('.wire').open = true")
+    page.wait(lambda page: HOSTILE in page.text('.log') and HOSTILE in page.text('.frames'),
+              'log and wire show it', doing=lambda: robot.car.say(arduino.LOGS[2](HOSTILE)),
+              every=0.3)
+    assert page.all('.log img') == page.all('.frames img') == page.all('.log script') == []
+    assert 'pwned' not in page.title
+
+
+def test_the_page_shows_a_restart_of_the_bridge(page, robot):
+    robot.bridge.end()
+    page.wait(lambda page: 'no bridge ' + NODE in page.text('#trouble'), 'the page shows it')
+    robot.start_bridge()
+    page.wait(lambda page: page.text('#trouble') == '', 'the trouble is over')
+    page.wait(lambda page: page.attribute('[data-topic="~imu"]', 'data-state') == 'fresh', 'data')
+
+
+def test_the_page_goes_on_at_a_new_master(page, core):
+    core.stop()
+    page.wait(lambda page: 'no answer from the ROS master' in page.text('#trouble'), 'it shows it')
+    core.start()
+    page.wait(lambda page: page.text('#trouble') == '', 'the trouble is over')
+    page.wait(lambda page: page.attribute('[data-topic="~imu"]', 'data-state') == 'fresh', 'data')
+    page.errors()       # the panel starts again, too, and refuses connections for a moment
+
+
+def reach(chromium, url):
+    """Open a page of a panel that may just start again, at a new master."""
+    with contextlib.suppress(WebDriverException):
+        chromium.open(url)
+
+
+def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
+    url = panel.url.split('#')[0]
+    evil = f'''<title>evil</title><script>
+      const socket = new WebSocket('{url.replace('http', 'ws')}socket');
+      socket.onopen = () => document.title = 'open';
+      socket.onerror = () => document.title = 'refused';
+    </script><iframe src="{url}"></iframe>'''.encode()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self):
+            self.send_response(200)
+            self.send_header('Content-Type', 'text/html')
+            self.end_headers()
+            self.wfile.write(evil)
+
+        def log_message(self, *_arguments):
+            pass
+
+    # Threads: chromium opens a second connection in advance, on which nothing comes for a minute.
+    server = ThreadingHTTPServer(('127.0.0.1', 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    chromium.open(f'http://localhost:{server.server_port}/')
+    chromium.wait(lambda page: page.title == 'refused', 'the connection is refused')
+    chromium.driver.switch_to.frame(chromium.all('iframe')[0])
+    assert not chromium.all('#node')
+    chromium.driver.switch_to.default_content()
+    # Nor through a name that resolves to this machine.
+    chromium.wait(lambda page: 'is not a name of this machine' in page.text('body'), 'refused',
+                  doing=lambda: reach(chromium, url.replace('127.0.0.1', REBINDING)))
+    server.shutdown()
+    chromium.errors()
+
+
+def test_the_page_needs_the_token_once(chromium, panel):
+    url, token = panel.url.split('#')
+    reach(chromium, url)
+    chromium.driver.delete_all_cookies()
+    reach(chromium, url)
+    chromium.wait(lambda page: 'open the address that the panel printed' in page.text(
+        '#trouble'), 'the page shows it')
+    chromium.script("location.hash = 'not-the-right-one'")
+    chromium.wait(lambda page: 'its token is wrong' in page.text('#trouble'), 'the page shows it')
+    chromium.script('location.hash = arguments[0]', token)
+    chromium.wait_for_text('#connection', 'live')
+    assert chromium.script('return location.href') == url
+    history = chromium.driver.execute_cdp_cmd('Page.getNavigationHistory', {})['entries']
+    assert not any(token in entry['url'] for entry in history)
+    chromium.open('about:blank')
+    chromium.open(url)
+    chromium.wait_for_text('#connection', 'live')
+    chromium.errors()
