@@ -177,8 +177,6 @@ class Board {
                     [this](double clocks) { mcu_.hold_sda(unsigned(std::fmax(clocks, 0))); });
     values.variable("scl_stuck", [this] { return double(mcu_.scl_held()); },
                     [this](double low) { mcu_.hold_scl(low != 0); });
-    values.variable("baud", [this] { return mcu_.baud(); },
-                    [this](double baud) { mcu_.set_baud(std::fmax(baud, 1)); });
   }
   virtual ~Board() {}
 

@@ -75,8 +75,7 @@ class Mcu {
   std::vector<SentByte> uart_take_sent();
   // Emulated seconds at which the last byte had arrived.
   double uart_last_received() const { return uart_last_received_; }
-  void set_baud(double baud) { cycles_per_wire_byte_ = 10.0 * frequency() / baud; }
-  double baud() const { return 10.0 * frequency() / cycles_per_wire_byte_; }
+  void set_baud(unsigned baud) { cycles_per_wire_byte_ = 10.0 * frequency() / baud; }
   uint64_t uart_received() const { return uart_received_; }
   uint64_t uart_overruns() const { return uart_overruns_; }
 
