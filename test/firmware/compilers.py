@@ -20,7 +20,8 @@ ON_THE_ESP = ['xtensa-lx106-elf-g++', '-Wcast-align', '-Wshadow', '-ffreestandin
 
 def on_the_avr(chip='atmega328p', variant='eightanaloginputs'):
     return ['avr-g++', '-Os', '-mmcu=' + chip, '-DF_CPU=16000000L', '-DARDUINO=10819',
-            '-DARDUINO_ARCH_AVR', '-I', CORE + '/cores/arduino', '-I', CORE + '/variants/' + variant]
+            '-DARDUINO_ARCH_AVR', '-I', f'{CORE}/cores/arduino',
+            '-I', f'{CORE}/variants/{variant}']
 
 
 def read(path):

@@ -168,7 +168,8 @@ class Board(Channel):
         self.beat = b''
         self.received = []
         self._frame_at = frame_at
-        self._rest = []         # (emulated s, byte) of an incomplete frame
+        self._rest = bytearray()    # the beginning of a frame
+        self._times = []            # when each of its bytes was sent
         self._next_beat = 0.0
         self.now = self.get('time')
 
@@ -194,11 +195,13 @@ class Board(Channel):
         self.now = float(now)
         if not sent:
             return
-        self._rest += [(float(at), int(byte, 16)) for at, byte in (each.split(':') for each in sent)]
-        frames, used = decode(bytes(byte for _, byte in self._rest), self._frame_at)
-        self.received += [Received(self._rest[frame.end - 1][0], *frame.content)
-                          for frame in frames]
-        del self._rest[:used]
+        for each in sent:
+            at, byte = each.split(':')
+            self._times.append(float(at))
+            self._rest += bytes.fromhex(byte)
+        frames, used = decode(bytes(self._rest), self._frame_at)
+        self.received += [Received(self._times[frame.end - 1], *frame.content) for frame in frames]
+        del self._rest[:used], self._times[:used]
 
     def until(self, condition, most=5.0):
         """Run until a condition holds; it has to within `most` emulated seconds."""

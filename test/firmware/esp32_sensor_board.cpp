@@ -1,10 +1,10 @@
 // range_imu as on an ESP32, on the PC: the sketch, least models of its sensors, and a clock that only waiting and
 // transfers move.
 //
-//   esp32_sensor_board SECONDS [MS:NAME=VALUE …]
+//   esp32_sensor_board SECONDS [NAME=VALUE …]
 //
-// prints a line for each frame: milliseconds and the bytes. At the given time a value changes: range1 (mm),
-// range1_power, range2 …, heading, sda_stuck (clocks until a device lets SDA go).
+// prints a line for each frame: milliseconds and the bytes. Values are range1, range2 (mm; 0: it has no power),
+// heading, and sda_stuck (clocks until a device lets SDA go).
 
 #include <Arduino.h>
 #include <VL53L0X.h>
@@ -22,39 +22,22 @@ const uint8_t kSda = 21, kScl = 22;
 const uint64_t kRangingUs = 33000;
 
 uint64_t now_us = 0;
-std::map<std::string, double> values = {{"range1", 800}, {"range1_power", 1}, {"range2", 600}, {"range2_power", 1}};
-struct Event {
-  uint64_t at_us;
-  std::string name;
-  double value;
-};
-std::vector<Event> events;  // in order
+std::map<std::string, double> values = {{"range1", 800}, {"range2", 600}};
 bool loop_watched = false, wire_has_pins = false;
 uint8_t channels = 0;  // of the TCA9548A
 uint8_t bno055_mode = 0;
-
-void pass(uint64_t us) {
-  now_us += us;
-  while (!events.empty() && events.front().at_us <= now_us) {
-    values[events.front().name] = events.front().value;
-    events.erase(events.begin());
-  }
-}
-
-bool bus_works() { return wire_has_pins && values["sda_stuck"] == 0; }
 
 struct Range {
   const char* name;
   uint64_t ready_us;
 } ranges[2] = {{"range1", UINT64_MAX}, {"range2", UINT64_MAX}};
 
+bool bus_works() { return wire_has_pins && values["sda_stuck"] == 0; }
+
 // The one behind the channel that is open; null: it does not answer.
 Range* selected() {
   Range* range = channels == 1 << 3 ? ranges : channels == 1 << 6 ? ranges + 1 : nullptr;
-  if (range == nullptr || !bus_works()) return nullptr;
-  if (values[std::string(range->name) + "_power"] != 0) return range;
-  range->ready_us = UINT64_MAX;
-  return nullptr;
+  return range && bus_works() && values[range->name] != 0 ? range : nullptr;
 }
 
 bool answers(uint8_t address) {
@@ -84,12 +67,11 @@ uint8_t read_bno055(uint8_t reg) {
 // The core
 
 unsigned long millis() {
-  pass(1);
-  return static_cast<uint32_t>(now_us / 1000);
+  return static_cast<uint32_t>(++now_us / 1000);
 }
 unsigned long micros() { return static_cast<uint32_t>(now_us); }
-void delay(uint32_t ms) { pass(ms * 1000ull); }
-void delayMicroseconds(uint32_t us) { pass(us); }
+void delay(uint32_t ms) { now_us += ms * 1000ull; }
+void delayMicroseconds(uint32_t us) { now_us += us; }
 void enableLoopWDT() { loop_watched = true; }
 void feedLoopWDT() {}
 void pinMode(uint8_t, uint8_t) {}
@@ -128,16 +110,15 @@ size_t TwoWire::write(const uint8_t* bytes, size_t size) {
   wire_out.insert(wire_out.end(), bytes, bytes + size);
   return size;
 }
-uint8_t TwoWire::endTransmission() { return endTransmission(true); }
 uint8_t TwoWire::endTransmission(bool) {
-  pass(25 * (1 + wire_out.size()));
+  now_us += 25 * (1 + wire_out.size());
   if (!answers(wire_address)) return 2;
   wire_pointer = wire_out.at(0);
   write_to(wire_address, wire_out);
   return 0;
 }
 uint8_t TwoWire::requestFrom(uint8_t address, uint8_t size) {
-  pass(25 * (1 + size));
+  now_us += 25 * (1 + size);
   wire_left = answers(address) ? size : 0;
   return uint8_t(wire_left);
 }
@@ -170,13 +151,10 @@ void loop();
 int main(int count, char** arguments) {
   if (count < 2) return 2;
   for (int i = 2; i < count; ++i) {
-    unsigned ms;
-    char name[32];
-    double value;
-    if (sscanf(arguments[i], "%u:%31[a-z0-9_]=%lf", &ms, name, &value) != 3) return 2;
-    events.push_back({ms * 1000ull, name, value});
+    const std::string word = arguments[i];
+    const size_t sign = word.find('=');
+    values[word.substr(0, sign)] = atof(word.c_str() + sign + 1);
   }
-  pass(0);
   setup();
   if (!loop_watched) return 3;
   while (now_us < atof(arguments[1]) * 1e6) loop();

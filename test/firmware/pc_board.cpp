@@ -5,8 +5,6 @@
 // SCRIPT has words: HEX: these bytes arrive; +N: N ms pass, in each of which loop() runs once; !: what is pending ends.
 // A line is printed for each write, `MS sent HEX`, and for each function that is called, `MS NAME VALUES`.
 // OPTIONs: rows, settings: they are announced; busy: the sketch sends as much as one of the reference sketches.
-//
-//   pc_board senders               what each sender sends
 
 #include <BusSlave.h>
 #include <FrameLink.h>
@@ -73,12 +71,6 @@ class Port : public Stream {
 struct PACKED Force {
   int16_t centinewtons;
 };
-struct PACKED Display {  // a text of any length
-  enum : uint16_t { LEAST = 1 };
-  uint8_t line;
-  char text[16];
-};
-
 #define SETTINGS(SETTING)                                                   \
   SETTING(1, gain, float, 0.5, 0, 10, "1/s", "a gain")                      \
   SETTING(2, period, uint16_t, 20, 5, 60000, "ms", "a period")              \
@@ -103,7 +95,6 @@ class PacketSketch : public Sketch {
     static PacketLink* link = &bridge_;
     bridge_.on<Force>(48, [](const Force& force) { say("force", std::to_string(force.centinewtons)); });
     bridge_.on(50, [](const uint8_t* data, size_t size) { say("bytes", to_hex(data, size)); });
-    bridge_.on<Display>(51, [](const Display& display) { say("display", to_hex(&display, sizeof display)); });
     // Sends a packet: the type is the first of these bytes.
     bridge_.on(52, [](const uint8_t* data, size_t size) { link->send(MessageType(data[0]), data + 1, size - 1); });
     bridge_.on_speed([](int16_t speed) { say("speed", std::to_string(speed)); });
@@ -132,11 +123,11 @@ class FrameSketch : public Sketch {
   }
   void loop(bool busy) override {
     bridge_.update();
-    if (busy && now_ms % 50 == 0) bridge_.send_sensor_status(SensorStatus());
+    const uint16_t channels[6] = {1, 2, 300, 4, 5, 1023};
+    if (busy && now_ms % 50 == 0) bridge_.send_adc_status(channels);
   }
 
  private:
-  typedef serial_communication::SensorStatus SensorStatus;
   FrameLink bridge_;
 };
 
@@ -176,37 +167,6 @@ static void run(Sketch& sketch, bool busy) {
   }
 }
 
-static void send_all() {
-  PacketLink packets(port);
-  FrameLink frames(port);
-  const ImuData imu = {{16384, -1, 2, -3}, {256, -257, 32767}, {-32768, 8192, 0}, -100};
-  const serial_communication::SensorStatus status = {{47, 0xFFFF}, 35000, -243, -32768};
-  const uint16_t channels[6] = {1, 2, 300, 4, 5, 1023};
-  packets.send_speed(-400);
-  packets.send_steering(1500);
-  packets.send_steering_angle(1023);
-  packets.send_ticks(7);
-  packets.send_voltage(12.5f);
-  packets.send_imu(imu);
-  packets.send_heartbeat();
-  packets.send_imu_calibration();
-  packets.warn("careful");
-  packets.send_text(MessageType::LedCmd, "left");
-  packets.time(0x80FF0001, 3);
-  packets.send(32, Force{-300});
-  packets.send(33, "any", 3);
-  packets.info(std::string(100, 'x').c_str());     // a text is cut
-  frames.send_sensor_status(status);
-  frames.send_adc_status(channels);
-  frames.time(0x80FF0001);
-  frames.send(0x20, Force{-300});
-  // Types of the bridge itself, and too much.
-  if (packets.send(4, Force{1}) || packets.send(255, Force{1}) || frames.send(0x10, channels, 10) ||
-      frames.send(0xFD, Force{1}) || packets.send(40, &rows, 64) || frames.send(40, &rows, 33)) {
-    puts("was sent");
-  }
-}
-
 int main(int count, char** arguments) {
   const std::string kind = count > 1 ? arguments[1] : "";
   const std::set<std::string> options(arguments + (count > 1 ? 2 : 1), arguments + count);
@@ -220,8 +180,6 @@ int main(int count, char** arguments) {
   } else if (kind == "bus") {
     BusSketch sketch;
     run(sketch, busy);
-  } else if (kind == "senders") {
-    send_all();
   } else {
     return 2;
   }

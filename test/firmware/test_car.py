@@ -1,4 +1,4 @@
-"""The firmware of the model car, nano_car, in its world. How its motor stops: test_motor_stop.py."""
+"""The firmware of the model car, nano_car, in its world. Its motor's stops: test_motor_stop.py."""
 import math
 import struct
 

@@ -7,13 +7,13 @@ import subprocess
 from collections import defaultdict
 
 import pytest
-from by_definition import (ANNOUNCEMENT, ECHO, FUNCTION, SENSORS, SETTING, SYNC, arduino_at,
+from by_definition import (ADC, ANNOUNCEMENT, ECHO, FUNCTION, SETTING, SYNC, arduino_at,
                            arduino_packet, decode, mcu_at, mcu_frame, reply_at, request_at)
 from protocol_cases import hexed, vectors
 
 import compilers
 from board_rows import car_settings
-from packets import MALFORMED, OK, STOP, UNSUPPORTED, function, request, speed, steering
+from packets import MALFORMED, OK, STOP, UNSUPPORTED, function, request, speed
 from serial_communication.framing.announcement import Assembly, Chunk, read_announcement
 
 INVALID = b'\xff'
@@ -69,20 +69,10 @@ def test_packets_of_any_content_are_sent(board):
                                           for packet in packets]
 
 
-def test_senders(board):
-    assert [line.split()[-1] for line in board('senders')] == [wire.hex() for wire in (
-        speed(-400), steering(1500), arduino_packet(7, struct.pack('<H', 1023)),
-        arduino_packet(8, b'\7'), arduino_packet(10, struct.pack('<f', 12.5)),
-        arduino_packet(9, struct.pack('>11h', 16384, -1, 2, -3, 256, -257, 32767, -32768, 8192, 0,
-                                      -100)),
-        arduino_packet(11), arduino_packet(12), arduino_packet(2, b'careful\0'),
-        arduino_packet(6, b'left\0'), arduino_packet(254, struct.pack('<IB', 0x80FF0001, 3)),
-        arduino_packet(32, struct.pack('<h', -300)), arduino_packet(33, b'any'),
-        arduino_packet(1, b'x' * 63),
-        mcu_frame(SENSORS, 0, struct.pack('<HHHhh', 47, 0xFFFF, 35000, -243, -32768)),
-        mcu_frame(1, 1, struct.pack('<6H', 1, 2, 300, 4, 5, 1023)),
-        mcu_frame(0xFE, 2, struct.pack('<I', 0x80FF0001)),
-        mcu_frame(0x20, 3, struct.pack('<h', -300)))]
+def test_frames_are_sent(board):
+    found = decode(b''.join(sent(board('frames busy', '+15000')).values()), mcu_at)[0]
+    assert [frame.content for frame in found] == [
+        (ADC, number % 256, struct.pack('<6H', 1, 2, 300, 4, 5, 1023)) for number in range(300)]
 
 
 # Packets to a board
@@ -102,8 +92,6 @@ def of_packet(kind, data):
         return ['force %d' % struct.unpack('<h', data)]
     if kind == 50 and len(data) <= 63:
         return ['bytes ' + data.hex()]
-    if kind == 51 and 1 <= len(data) <= 17:
-        return ['display ' + data.ljust(17, b'\0').hex()]
     return []
 
 
@@ -121,13 +109,13 @@ def test_packets_among_damage_call_their_functions(board):
     chance = random.Random(2)
     wires = []
     for _ in range(3000):
-        size = chance.choice([0, 1, 2, 2, 2, 3, 16, 17, 18, 30, 31, 32, 62, 63, 64, 80])
-        wire = arduino_packet(chance.choice([4, 4, 5, 6, 11, 12, 48, 50, 51, 13, 255]),
+        size = chance.choice([0, 1, 2, 2, 2, 3, 30, 31, 32, 62, 63, 64, 80])
+        wire = arduino_packet(chance.choice([4, 4, 5, 6, 11, 12, 48, 50, 13, 255]),
                               bytes(chance.choice([0, 1, 255, chance.randrange(256)])
                                     for _ in range(size)))
         wires.append(damaged(chance, wire) if chance.random() < 0.3 else wire)
     stream = b''.join(wires)
-    found, rest = decode(stream, arduino_at)
+    found = decode(stream, arduino_at)[0]
     words = []
     while stream:
         size = chance.randrange(1, 60)      # a call takes 64 bytes
@@ -342,7 +330,6 @@ void setup() { %s }
 '''
 WRONG = {
     'const Force* f = 0; packets.send(40, f);': 'a pointer',
-    'String text("a"); packets.send(40, text);': 'no String',
     'packets.send(40, Wide());': 'has to be PACKED', 'frames.send(40, Wide());': 'has to be PACKED',
     'packets.on<Big>(40, take);': 'invalid conversion',
     'packets.send(40, Big());': 'holds no more', 'BusResult::ok(Big());': 'holds no more',

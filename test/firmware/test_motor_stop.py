@@ -9,7 +9,6 @@ ROUNDS = 3
 # What drives each image that needs heartbeats, and the outputs that are on then. A heartbeat is
 # the last, so that the last byte that arrives is a heartbeat's.
 DRIVEN = {
-    'nano_car_emulated': ('car', speed(700), ['motor_pwm']),
     'nano_car_custom': ('car', speed(700) + gripper(1000, 1), ['motor_pwm']),
     'Car': ('car', speed(700), ['motor_pwm']),
     'Tuning': ('car', target(8), ['motor_pwm']),
@@ -23,46 +22,32 @@ def drive(board, orders, outputs):
     board.until(lambda: all(board.get(output) for output in outputs))
 
 
-def nothing(board):
-    pass
-
-
-def sda_stuck(board):
-    board.set(sda_stuck=1000)
-
-
-def scl_stuck(board):
-    board.set(scl_stuck=1)
-
-
-def opened(board):
-    """The port is opened, which resets the board; a second in the bootloader follows."""
-    board.ask('dtr')
-    board.run(0.02)
-
-
-def held_up(board):
-    """Heartbeats and orders arrive while loop() does not read them, and are found afterwards."""
-    board.ask('stall 0.1')
-    board.run(0.04)
-
-
-def flooded(board):
-    """Likewise, and they are more than the UART's buffer holds."""
-    board.ask('stall 0.02')
-    board.send(10 * board.beat)
+# What happens to the board at that moment, as lines of the emulator's control channel.
+CONDITIONS = {
+    'nothing': [],
+    'I2C is held low': ['set sda_stuck 1000'],
+    'the clock of I2C is held low': ['set scl_stuck 1'],
+    'the port is opened, which resets the board': ['dtr'],
+    'heartbeats are found late': ['stall 0.1'],
+    'more arrives than the buffer holds': ['stall 0.02'],
+}
 
 
 @pytest.mark.parametrize('image, condition', [
-    *((image, condition) for image in DRIVEN for condition in (nothing, held_up)),
-    *(('nano_car_emulated', condition) for condition in (sda_stuck, scl_stuck, opened, flooded))])
+    *((image, condition) for image in DRIVEN
+      for condition in ('nothing', 'heartbeats are found late')),
+    *(('nano_car_custom', condition) for condition in CONDITIONS)])
 def test_all_is_off_33_ms_after_the_last_heartbeat(copy_of, image, condition):
     world, orders, outputs = DRIVEN[image]
     board = copy_of(world, image + '.elf')
     for number in range(ROUNDS):
         drive(board, orders, outputs)
         board.run(0.05 + 0.0037 * number)
-        condition(board)
+        for line in CONDITIONS[condition]:
+            board.ask(line)
+        if condition.startswith('more'):
+            board.send(10 * board.beat)
+        board.run(0.04 if condition.startswith('heartbeats') else 0)
         board.beat = b''
         board.run(0.02)         # what is on the line has arrived
         last = board.get('last_rx_time')
@@ -70,10 +55,10 @@ def test_all_is_off_33_ms_after_the_last_heartbeat(copy_of, image, condition):
         for output in outputs:
             off, value = board.history(output)[-1]
             assert value == 0 and off - last <= 0.033
-            if condition in (nothing, sda_stuck, scl_stuck):
+            if condition == 'nothing' or 'I2C' in condition:
                 assert off - last >= 0.03       # no heartbeat is called lost too early
         board.set(sda_stuck=0, scl_stuck=0)
-        board.run(1 if condition is opened else 0.1)
+        board.run(1)
 
 
 @pytest.mark.parametrize('image', DRIVEN)

@@ -28,8 +28,8 @@ def test_each_frame_follows_its_time_twenty_times_a_second(sensors):
     sensors.forget()
     sensors.run(2)
     frames = sensors.received
-    assert [frame.number for frame in frames] == [(frames[0].number + index) % 256
-                                                 for index in range(len(frames))]
+    numbers = [frame.number for frame in frames]
+    assert numbers == [(numbers[0] + index) % 256 for index in range(len(numbers))]
     timed = [(before, frame) for before, frame in zip(frames, frames[1:]) if frame.type == SENSORS]
     assert len(timed) == 40 and {before.type for before, _ in timed} == {MCU_TIME}
     times = [struct.unpack('<I', before.data)[0] * 1e-6 for before, _ in timed]

@@ -11,15 +11,10 @@ class TwoWire {
   bool begin(int sda = -1, int scl = -1, uint32_t frequency = 0);
   bool setClock(uint32_t frequency);
   void setTimeOut(uint16_t timeout_ms);
-  void beginTransmission(uint16_t address);
   void beginTransmission(uint8_t address);
-  void beginTransmission(int address);
-  uint8_t endTransmission(bool send_stop);
-  uint8_t endTransmission();
-  size_t requestFrom(uint16_t address, size_t size, bool send_stop);
+  uint8_t endTransmission(bool send_stop = true);
   uint8_t requestFrom(uint16_t address, uint8_t size, bool send_stop);
   uint8_t requestFrom(uint8_t address, uint8_t size);
-  uint8_t requestFrom(int address, int size);
   size_t write(uint8_t byte);
   size_t write(const uint8_t* bytes, size_t size);
   int available();
