@@ -79,9 +79,10 @@ class Emulator:
             raise BoardError('the emulator did not start: ' + banner)
 
     def close(self):
-        """End it."""
+        """End it; copies go on."""
         self._process.terminate()
-        self._process.communicate()
+        self._process.wait()
+        self._process.stdout.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
