@@ -122,7 +122,6 @@ uint8_t TwoWire::requestFrom(uint8_t address, uint8_t size) {
   wire_left = answers(address) ? size : 0;
   return uint8_t(wire_left);
 }
-int TwoWire::available() { return wire_left; }
 int TwoWire::read() { return wire_left-- > 0 ? read_bno055(wire_pointer++) : -1; }
 
 // Pololu's library

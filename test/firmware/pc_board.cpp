@@ -2,8 +2,8 @@
 //
 //   pc_board packets|frames|bus [OPTION …] < SCRIPT
 //
-// SCRIPT has words: HEX: these bytes arrive; +N: N ms pass, in each of which loop() runs once; !: what is pending ends.
-// A line is printed for each write, `MS sent HEX`, and for each function that is called, `MS NAME VALUES`.
+// SCRIPT has words: HEX: these bytes arrive; +N: N ms pass, in each of which loop() runs once.
+// A line is printed for each write, `MS sent HEX`, and for each function that is called, `MS NUMBER HEX`.
 // OPTIONs: rows, settings: they are announced; busy: the sketch sends as much as one of the reference sketches.
 
 #include <BusSlave.h>
@@ -83,105 +83,75 @@ static constexpr Setting settings[] = {SETTINGS(SETTING_ENTRY)};
 static const char rows[] = "firmware: test 1.0\n" SETTINGS(SETTING_ROW);
 static void changed(uint8_t number) { say("changed", std::to_string(number)); }
 
-class Sketch {
- public:
-  virtual ~Sketch() {}
-  virtual void loop(bool busy) = 0;
-};
+// The sketches; each is alone in its process.
 
-class PacketSketch : public Sketch {
- public:
-  explicit PacketSketch(const std::set<std::string>& options) : bridge_(port) {
-    static PacketLink* link = &bridge_;
-    bridge_.on<Force>(48, [](const Force& force) { say("force", std::to_string(force.centinewtons)); });
-    bridge_.on(50, [](const uint8_t* data, size_t size) { say("bytes", to_hex(data, size)); });
-    // Sends a packet: the type is the first of these bytes.
-    bridge_.on(52, [](const uint8_t* data, size_t size) { link->send(MessageType(data[0]), data + 1, size - 1); });
-    bridge_.on_speed([](int16_t speed) { say("speed", std::to_string(speed)); });
-    bridge_.on_steering([](uint16_t pulse) { say("steering", std::to_string(pulse)); });
-    bridge_.on_led([](const char* text) { say("led", to_hex(text, strlen(text))); });
-    bridge_.on_calibration([]() { say("calibration", ""); });
-    if (options.count("rows")) bridge_.announce(rows);
-    if (options.count("settings")) bridge_.settings(settings, changed);
-  }
-  void loop(bool busy) override {
-    bridge_.update();
-    if (!busy || now_ms % 10 != 0) return;
-    for (int i = 0; i < 8; ++i) bridge_.send_ticks(0);  // 39 bytes, as many as the car sends
-    bridge_.send_voltage(12);
-  }
-
- private:
-  PacketLink bridge_;
-};
-
-class FrameSketch : public Sketch {
- public:
-  explicit FrameSketch(const std::set<std::string>& options) : bridge_(port) {
-    if (options.count("rows")) bridge_.announce(rows);
-    if (options.count("settings")) bridge_.settings(settings, changed);
-  }
-  void loop(bool busy) override {
-    bridge_.update();
-    const uint16_t channels[6] = {1, 2, 300, 4, 5, 1023};
-    if (busy && now_ms % 50 == 0) bridge_.send_adc_status(channels);
-  }
-
- private:
-  FrameLink bridge_;
-};
-
+static std::set<std::string> options;
+static PacketLink packets(port);
+static FrameLink frames(port);
+static BusSlave bus(port);
 static bool pending = false;
 
-class BusSketch : public Sketch {
- public:
-  BusSketch() : bus_(port) {
-    bus_.on<Force>(48, [](const Force& force) { return called("force", &force, 2), BusResult::ok(force); });
-    bus_.on(49, []() { return called("move", "", 0), pending = true, BusResult::pending(); });
-    bus_.on(51, [](const uint8_t* data, size_t size) { return called("bytes", data, size), BusResult::ok(); });
-    bus_.on_pending([]() { return pending ? BusResult::pending() : BusResult::ok(); });
-    bus_.on_stop([]() { called("stop", "", 0), pending = false; });
-    bus_.announce(rows);
-  }
-  void loop(bool) override { bus_.update(); }
+template <class Link>
+void announce_and_set(Link& link) {
+  if (options.count("rows")) link.announce(rows);
+  if (options.count("settings")) link.settings(settings, changed);
+}
 
- private:
-  static void called(const char* name, const void* data, size_t size) { say(name, to_hex(data, size)); }
-  BusSlave bus_;
-};
+static void setup_packets() {
+  packets.on<Force>(48, [](const Force& force) { say("48", to_hex(&force, sizeof force)); });
+  packets.on(50, [](const uint8_t* data, size_t size) { say("50", to_hex(data, size)); });
+  // Sends a packet: the type is the first of these bytes.
+  packets.on(52, [](const uint8_t* data, size_t size) { packets.send(MessageType(data[0]), data + 1, size - 1); });
+  packets.on_steering([](uint16_t pulse) { say("5", to_hex(&pulse, sizeof pulse)); });
+  packets.on_calibration([]() { say("12", ""); });
+  announce_and_set(packets);
+}
 
-static void run(Sketch& sketch, bool busy) {
+static void loop_packets() {
+  packets.update();
+  if (!options.count("busy") || now_ms % 10 != 0) return;
+  for (int i = 0; i < 8; ++i) packets.send_ticks(0);  // 39 bytes, as many as the car sends
+  packets.send_voltage(12);
+}
+
+static void setup_frames() { announce_and_set(frames); }
+
+static void loop_frames() {
+  frames.update();
+  const uint16_t channels[6] = {1, 2, 300, 4, 5, 1023};
+  if (options.count("busy") && now_ms % 50 == 0) frames.send_adc_status(channels);
+}
+
+static void setup_bus() {
+  bus.on(49, []() { return say("49", ""), pending = true, BusResult::pending(); });
+  bus.on(51, [](const uint8_t* data, size_t size) { return say("51", to_hex(data, size)), BusResult::ok(); });
+  bus.on_pending([]() { return pending ? BusResult::pending() : BusResult::ok(); });
+  bus.on_stop([]() { say("stop", ""), pending = false; });
+}
+
+static void loop_bus() { bus.update(); }
+
+static void run(void (*loop)()) {
   std::string word;
   while (std::cin >> word) {
-    if (word == "!") {
-      pending = false;
-    } else if (word[0] != '+') {
+    if (word[0] != '+') {
       port.received += from_hex(word);
-    } else {
-      for (int left = atoi(word.c_str()); left > 0; --left) {
-        sketch.loop(busy);
-        ++now_ms;
-        port.pass_ms();
-      }
+      continue;
+    }
+    for (int left = atoi(word.c_str()); left > 0; --left) {
+      loop();
+      ++now_ms;
+      port.pass_ms();
     }
   }
 }
 
 int main(int count, char** arguments) {
-  const std::string kind = count > 1 ? arguments[1] : "";
-  const std::set<std::string> options(arguments + (count > 1 ? 2 : 1), arguments + count);
-  const bool busy = options.count("busy") != 0;
-  if (kind == "packets") {
-    PacketSketch sketch(options);
-    run(sketch, busy);
-  } else if (kind == "frames") {
-    FrameSketch sketch(options);
-    run(sketch, busy);
-  } else if (kind == "bus") {
-    BusSketch sketch;
-    run(sketch, busy);
-  } else {
-    return 2;
-  }
+  if (count < 2) return 2;
+  const std::string kind = arguments[1];
+  options.insert(arguments + 2, arguments + count);
+  if (kind == "packets") setup_packets(), run(loop_packets);
+  if (kind == "frames") setup_frames(), run(loop_frames);
+  if (kind == "bus") setup_bus(), run(loop_bus);
   return 0;
 }

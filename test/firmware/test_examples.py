@@ -62,17 +62,6 @@ def test_the_sketch_of_the_readme_builds(tmp_path):
     check(on_the_avr(), tmp_path / 'readme.ino', '-include', 'Arduino.h')
 
 
-def test_library_has_what_the_ide_wants():
-    properties = dict(line.split('=', 1)
-                      for line in read(LIBRARY + '/library.properties').splitlines())
-    assert set(properties) == {
-        'name', 'version', 'author', 'maintainer', 'sentence', 'paragraph', 'category', 'url',
-        'architectures', 'includes'} and all(properties.values())
-    for header in properties['includes'].split(','):
-        assert os.path.exists(os.path.join(LIBRARY, 'src', header))
-    assert all(map(os.path.exists, map(path_of, EXAMPLES)))     # named as the IDE opens them
-
-
 # What they do
 
 
@@ -88,13 +77,6 @@ def test_a_button_is_sent_when_it_is_pressed_and_once_a_second(copy_of, firmware
     board.forget()
     board.run(2.5)
     assert board.seen(OUT) == [b'\1'] * 2
-
-
-def test_a_potentiometer_has_16_readings(copy_of, firmware_build):
-    board = built(copy_of, firmware_build, 'Potentiometer')
-    for raw in 0, 700, 1023:
-        board.set(a0=raw)
-        assert board.next(OUT, 2)[1] == struct.pack('<H', 16 * raw)
 
 
 def test_a_sonar_measures_the_echo_of_each_pulse(copy_of, firmware_build):

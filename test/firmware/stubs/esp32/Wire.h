@@ -1,5 +1,4 @@
-// The signatures of the ESP32's Wire library that the sensor board uses; there is nothing behind them
-// but what a test defines.
+// The signatures of the ESP32's Wire library that the sensor board uses.
 
 #ifndef STUB_WIRE_H
 #define STUB_WIRE_H
@@ -17,7 +16,6 @@ class TwoWire {
   uint8_t requestFrom(uint8_t address, uint8_t size);
   size_t write(uint8_t byte);
   size_t write(const uint8_t* bytes, size_t size);
-  int available();
   int read();
 };
 extern TwoWire Wire;
