@@ -1,6 +1,6 @@
-"""Emulated boards: in lock step with a test, or in real time on a pty. Neither ROS nor the package.
+"""Emulated boards in lock step with a test; needs neither ROS nor the package.
 
-In lock step, a board's time moves only in run(), so nothing depends on how busy this machine is:
+A board's time moves only in run(), so nothing depends on how busy this machine is:
 
     board = Booted(build_firmware(), 'car').copy()
     board.beat = arduino_packet(HEARTBEAT)      # what the computer sends every 10 ms
@@ -120,30 +120,6 @@ class Channel:
         """Return the changes of an output, oldest first: a list of (emulated s, value)."""
         numbers = [float(word) for word in self.ask('history ' + name).split()]
         return list(zip(numbers[0::2], numbers[1::2]))
-
-
-class EmulatedBoard(Channel):
-    """A board in real time, whose UART is on the pty `port`; nothing moves but what it moves."""
-
-    def __init__(self, build, world):
-        self._emulator = Emulator(build, world, None, '--still')
-        self.port = self._emulator.port
-        super().__init__(self._emulator.control)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *exception):
-        self.close()
-
-    def close(self):
-        super().close()
-        self._emulator.close()
-
-    @property
-    def time(self):
-        """Emulated seconds since the start."""
-        return self.get('time')
 
 
 class Booted(Emulator):
