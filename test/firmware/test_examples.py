@@ -103,14 +103,6 @@ def test_a_servo_has_no_pulses_before_the_first_command(copy_of, firmware_build)
         assert board.get('pwm9') == (2 * us - 1) % 256
 
 
-def test_a_buzzer_sounds_for_a_second(copy_of, firmware_build):
-    board = built(copy_of, firmware_build, 'Buzzer')
-    board.send(arduino_packet(IN, struct.pack('<H', 500)))
-    levels = []
-    board.until(lambda: levels.append(board.get('d8')) or len(levels) == 1500)
-    assert set(levels[:900]) == {0, 1} and set(levels[1100:]) == {0}
-
-
 # A sketch of one's own
 
 
