@@ -24,19 +24,20 @@ def test_speeds_set_the_pwm_and_the_direction(car):
         assert (car.get('motor_pwm'), car.get('motor_direction')) == (pwm, direction)
 
 
-def test_speed_zero_stops_at_once_and_both_inputs_are_low_before_another_direction(car):
+@pytest.mark.parametrize('image', ['nano_car_emulated.elf', 'Car.elf'])
+def test_speed_zero_stops_at_once_and_both_inputs_are_low_before_another_direction(copy_of, image):
+    car = copy_of('car', image)
     car.beat = speed(300) + HEARTBEAT
     car.run(0.1)
     car.beat = HEARTBEAT
     car.send(speed(0))
     car.run(0.002)
     assert car.get('motor_pwm') == 0
-    car.beat = speed(300) + HEARTBEAT
-    car.run(0.1)
-    car.beat = speed(-300) + HEARTBEAT
-    car.run(0.1)
+    for value in 300, -300:
+        car.beat = speed(value) + HEARTBEAT
+        car.run(0.1)
     (low, _), (high, _) = car.history('bridge_inputs')[-2:]
-    assert [value for _, value in car.history('bridge_inputs')][-3:] == [1, 0, 2]
+    assert [inputs for _, inputs in car.history('bridge_inputs')][-3:] == [1, 0, 2]
     assert 0.002 < high - low < 0.005
 
 

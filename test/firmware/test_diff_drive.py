@@ -64,6 +64,14 @@ def test_the_odometry_has_where_the_base_is(base):
     assert abs(math.degrees(turned)) < 0.3 and math.hypot(x, y) > 0.2
 
 
+def test_a_bridge_is_off_before_its_direction_changes(base):
+    for ahead in 0.3, -0.3, 0.3:
+        drive(base, ahead)
+    for wheel in WHEELS:
+        inputs = [value for _, value in base.history(wheel + '_inputs')]
+        assert inputs[::2] == [0] * len(inputs[::2]) and {1, 2} == set(inputs[1::2])
+
+
 def off(base):
     """When each motor was turned off for the last time, in emulated seconds."""
     histories = [base.history(wheel + '_pwm') for wheel in WHEELS]

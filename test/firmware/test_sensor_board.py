@@ -15,12 +15,13 @@ def status(sensors):
 
 
 def test_values_arrive(sensors):
-    for values in (500, 8190, 90.5, -12.25, 33), (47, 58, 0, -2.4375, 2.4375):
+    """A heading of 350 degrees does not fit into the frame, and wraps."""
+    for values in (500, 8190, 90.5, -12.25, 33), (47, 58, 350, -2.4375, 2.4375):
         sensors.set(**dict(zip(('range1', 'range2', 'heading', 'pitch', 'roll'), values)))
         sensors.run(0.15)
         one, two, yaw, angles = status(sensors)
         assert (one, two) == values[:2]
-        assert (yaw, *angles) == pytest.approx([100 * each for each in values[2:]], abs=1.1)
+        assert (yaw % 65536, *angles) == pytest.approx([100 * each for each in values[2:]], abs=1.1)
 
 
 def test_each_frame_follows_its_time_twenty_times_a_second(sensors):
