@@ -41,7 +41,9 @@ def copy_of(booted):
 @pytest.fixture
 def car(copy_of):
     """nano_car, whose IMU is ready."""
-    return copy_of('car')
+    car = copy_of('car')
+    yield car
+    assert car.get('rx_overruns') == 0
 
 
 @pytest.fixture
@@ -49,7 +51,8 @@ def bus(copy_of):
     """ctrl_board, synchronised."""
     bus = copy_of('ctrl')
     assert bus.call(request(0)) == b'\0'
-    return bus
+    yield bus
+    assert bus.get('rx_overruns') == 0
 
 
 @pytest.fixture
