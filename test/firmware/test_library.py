@@ -150,7 +150,7 @@ def replies(lines):
 def test_requests_among_damage_are_answered_and_executed_once(board):
     """For a burst with damage, INVALID is said at most once."""
     chance = random.Random(4)
-    words, frames_, bursts = [request(SYNC), '+60'], [], 0
+    words, valid, bursts = [request(SYNC), '+60'], [], 0
     while bursts < 1000:
         burst = b''
         for _ in range(chance.randrange(1, 4)):
@@ -162,12 +162,12 @@ def test_requests_among_damage_are_answered_and_executed_once(board):
             bursts += 1
             cut = chance.randrange(len(burst))
             words += [burst[:cut], '+10', burst[cut:], '+70']
-            frames_ += decode(burst, request_at, at_end=True)[0]
+            valid += decode(burst, request_at, at_end=True)[0]
     lines = board('bus', *words)
     found = replies(lines)
-    assert [reply for reply in found if reply[:1] != INVALID] == [b'\0', *map(reply_to, frames_)]
-    assert 0 < len(found) - 1 - len(frames_) < bursts
-    assert calls(lines) == [f'{ANY} {frame.data.hex()}'.strip() for frame in frames_
+    assert [reply for reply in found if reply[:1] != INVALID] == [b'\0', *map(reply_to, valid)]
+    assert 0 < len(found) - 1 - len(valid) < bursts
+    assert calls(lines) == [f'{ANY} {frame.data.hex()}'.strip() for frame in valid
                             if (frame.type, frame.number) == (FUNCTION, ANY)]
 
 
