@@ -32,10 +32,7 @@ const uint8_t kOutputs[] = {kLiftStepPin, kLiftDirectionPin, kPanStepPin, kPanDi
 
 // Leadscrew with 8 mm a turn, 200 steps a turn.
 const uint16_t kLiftStepsPerMm = 25;
-#ifndef LIFT_STEPS_PER_SECOND
-#define LIFT_STEPS_PER_SECOND 2000
-#endif
-const uint16_t kLiftStepsPerSecond = LIFT_STEPS_PER_SECOND;
+const uint16_t kLiftStepsPerSecond = 2000;
 // 200 steps a turn, geared 18:1.
 const uint16_t kGimbalStepsPerDegree = 10;
 const uint16_t kGimbalStepsPerSecond = 900;

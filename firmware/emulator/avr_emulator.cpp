@@ -1,9 +1,11 @@
-// avr_emulator: runs a board's firmware in an emulated ATmega328P at real time, with its UART on a pty or tty
-// and a small world connected to it, which a control socket reads and changes. See firmware/README.md.
+// avr_emulator: runs a board's firmware in an emulated ATmega328P with a small world connected to it, which a control
+// socket reads and changes. In real time, with its UART on a pty or tty; or in lock step, where a client of that socket
+// moves its time. See firmware/README.md.
 
 #include <poll.h>
 #include <signal.h>
 #include <string.h>
+#include <sys/prctl.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -48,6 +50,8 @@ double clock_seconds(clockid_t clock) {
 struct Options {
   std::string elf, world, link, port, control, eeprom, bootloader;
   bool still = false;
+  bool lock_step = false;
+  double boot = 0;
   unsigned baud = 115200;
 };
 
@@ -60,6 +64,9 @@ const char kUsage[] =
     "  --still         nothing in the world moves by itself\n"
     "  --bootloader HEX  each opening of the pty starts this bootloader, as of a real Nano\n"
     "  --baud N        speed of the wire towards the board (115200)\n"
+    "  --lock-step     the UART is on the control channel, too: each client has a copy of the board as it is when it\n"
+    "                  connects, whose time moves only in its commands `run`\n"
+    "  --boot SECONDS  with --lock-step: the first client connects after so many emulated seconds\n"
     "Arguments like __name:=x, which roslaunch adds, are ignored.\n";
 
 Options parse(int argc, char** argv) {
@@ -85,6 +92,10 @@ Options parse(int argc, char** argv) {
       options.bootloader = value();
     } else if (argument == "--still") {
       options.still = true;
+    } else if (argument == "--lock-step") {
+      options.lock_step = true;
+    } else if (argument == "--boot") {
+      options.boot = strtod(value().c_str(), nullptr);
     } else if (argument == "--baud") {
       options.baud = unsigned(strtoul(value().c_str(), nullptr, 10));
     } else if (argument == "--help" || argument == "-h") {
@@ -99,6 +110,7 @@ Options parse(int argc, char** argv) {
   if (options.elf.empty()) throw std::runtime_error("no ELF file given; --help lists the options");
   if (options.baud == 0) throw std::runtime_error("--baud must be a number above 0");
   if (!options.link.empty() && !options.port.empty()) throw std::runtime_error("--link and --port exclude each other");
+  if (options.lock_step && options.control.empty()) throw std::runtime_error("--lock-step needs --control");
   return options;
 }
 
@@ -146,34 +158,108 @@ class EepromFile {
   std::vector<uint8_t> saved_;
 };
 
+// The chip and its world, and the commands of the control channel that both modes have.
 class Board {
  public:
   explicit Board(const Options& options)
-      : mcu_(options.elf, options.baud, options.bootloader),
+      : mcu_(options.elf, options.baud, options.bootloader), world_(make_world(options, mcu_)) {
+    Values& values = world_->values;
+    values.reading("time", [this] { return mcu_.seconds(); });
+    values.reading("cycles", [this] { return double(mcu_.cycles()); });
+    values.reading("last_rx_time", [this] { return mcu_.uart_last_received(); });
+    values.reading("rx_bytes", [this] { return double(mcu_.uart_received()); });
+    values.reading("rx_overruns", [this] { return double(mcu_.uart_overruns()); });
+    values.reading("last_tx_time", [this] { return last_sent_; });
+    values.reading("tx_bytes", [this] { return double(sent_bytes_); });
+    values.reading("crash_time", [this] { return mcu_.crash_seconds(); });
+    values.reading("watchdog_resets", [this] { return double(mcu_.watchdog_resets()); });
+    values.variable("sda_stuck", [this] { return double(mcu_.sda_clocks()); },
+                    [this](double clocks) { mcu_.hold_sda(unsigned(std::fmax(clocks, 0))); });
+    values.variable("scl_stuck", [this] { return double(mcu_.scl_held()); },
+                    [this](double low) { mcu_.hold_scl(low != 0); });
+  }
+  virtual ~Board() {}
+
+ protected:
+  virtual std::string answer(const std::string& line) {
+    std::istringstream words(line);
+    std::string command, name;
+    words >> command >> name;
+    Values& values = world_->values;
+    if (command == "get") {
+      if (!values.has(name)) return "error: no value named \"" + name + "\"; list names them";
+      char text[40];
+      snprintf(text, sizeof text, "%.10g", values.get(name));
+      return text;
+    }
+    if (command == "set") {
+      double value;
+      if (!(words >> value) || !std::isfinite(value)) return "error: set NAME NUMBER";
+      if (!values.has(name)) return "error: no value named \"" + name + "\"; list names them";
+      if (!values.set(name, value)) return "error: \"" + name + "\" can only be read";
+      return "ok";
+    }
+    if (command == "history") {
+      const std::string history = values.history(name);
+      return history.empty() ? "error: \"" + name + "\" has no history" : history;
+    }
+    if (command == "list") return values.names();
+    if (command == "stall") {
+      double seconds;
+      if (!(std::istringstream(name) >> seconds) || !(seconds >= 0 && seconds < 1e6)) return "error: stall SECONDS";
+      mcu_.stall(seconds);
+      return "ok";
+    }
+    if (command == "reset") {
+      mcu_.reset();
+    } else if (command == "power_cycle") {
+      mcu_.power_cycle();
+    } else if (command == "dtr") {
+      mcu_.dtr();
+    } else if (command == "crash") {
+      mcu_.crash();
+    } else if (command == "quit") {
+      stop_requested = 1;
+    } else {
+      return "error: commands are get, set, history, list, reset, power_cycle, dtr, crash, stall, quit; in lock step "
+             "also run and send";
+    }
+    return "ok";
+  }
+
+  // False: the program has stopped, and no bootloader waits for another one.
+  bool run_until(uint64_t cycle) {
+    if (mcu_.run_until(cycle)) return true;
+    if (!mcu_.has_bootloader()) return false;
+    mcu_.crash();  // as half a program does after an upload that ended: until the next one
+    return true;
+  }
+
+  std::vector<SentByte> take_sent() {
+    std::vector<SentByte> sent = mcu_.uart_take_sent();
+    sent_bytes_ += sent.size();
+    if (!sent.empty()) last_sent_ = sent.back().seconds;
+    return sent;
+  }
+
+  Mcu mcu_;
+  std::unique_ptr<World> world_;
+
+ private:
+  uint64_t sent_bytes_ = 0;
+  double last_sent_ = 0;
+};
+
+class RealTimeBoard : public Board {
+ public:
+  explicit RealTimeBoard(const Options& options)
+      : Board(options),
         eeprom_(options.eeprom, mcu_),
-        world_(make_world(options, mcu_)),
         serial_(options.port.empty() ? SerialEnd::make_pty(options.link) : SerialEnd::use_port(options.port)) {
     if (!options.control.empty()) {
-      control_.reset(new Control(options.control, [this](const std::string& line) { return answer(line); }));
+      control_.reset(new Control(options.control, [this](const std::string& line) { return answer(line); }, false));
     }
-    world_->values.reading("time", [this] { return mcu_.seconds(); });
-    world_->values.reading("cycles", [this] { return double(mcu_.cycles()); });
-    world_->values.reading("pc", [this] { return double(mcu_.program_counter()); });
-    world_->values.reading("last_rx_time", [this] { return mcu_.uart_last_received(); });
-    world_->values.reading("rx_bytes", [this] { return double(mcu_.uart_received()); });
-    world_->values.reading("rx_overruns", [this] { return double(mcu_.uart_overruns()); });
     world_->values.reading("tx_flushes", [this] { return double(serial_.flushes()); });
-    world_->values.reading("last_tx_time", [this] { return last_sent_; });
-    world_->values.reading("tx_bytes", [this] { return double(sent_bytes_); });
-    world_->values.reading("crash_time", [this] { return mcu_.crash_seconds(); });
-    world_->values.reading("watchdog_resets", [this] { return double(mcu_.watchdog_resets()); });
-    world_->values.variable("sda_stuck", [this] { return double(mcu_.sda_clocks()); },
-                            [this](double clocks) { mcu_.hold_sda(unsigned(std::fmax(clocks, 0))); });
-    world_->values.variable("scl_stuck", [this] { return double(mcu_.scl_held()); },
-                            [this](double low) { mcu_.hold_scl(low != 0); });
-    world_->values.variable("baud_error", [this] { return 100 * mcu_.baud_error(); },
-                            [this](double percent) { mcu_.set_baud_error(percent / 100); });
-    world_->values.variable("line_first", &line_first_);
     printf("avr_emulator: %s on %s\n", options.elf.c_str(), serial_.name().c_str());
     fflush(stdout);
   }
@@ -185,22 +271,13 @@ class Board {
     int status = 0;
     while (!stop_requested) {
       if (mcu_.has_bootloader()) act_as_adapter();
-      if (line_first_ != 0 && mcu_.uart_backlog() == 0) {
-        serve(kSlice);
-        origin_ = clock_seconds(CLOCK_MONOTONIC) - mcu_.seconds();
-        continue;
+      if (!run_until(mcu_.cycles() + uint64_t(kSlice * mcu_.frequency()))) {
+        fprintf(stderr, "avr_emulator: the program stopped at %.6f s\n", mcu_.seconds());
+        status = 1;
+        break;
       }
-      if (!mcu_.run_until(mcu_.cycles() + uint64_t(kSlice * mcu_.frequency()))) {
-        if (!mcu_.has_bootloader()) {
-          fprintf(stderr, "avr_emulator: the program stopped at %.6f s\n", mcu_.seconds());
-          status = 1;
-          break;
-        }
-        mcu_.crash();  // as half a program does after an upload that ended: until the next one
-      }
-      const std::string sent = mcu_.uart_take_sent();
-      sent_bytes_ += sent.size();
-      if (!sent.empty()) last_sent_ = mcu_.seconds();
+      std::string sent;
+      for (const SentByte& each : take_sent()) sent.push_back(char(each.byte));
       serial_.write(sent);
       if (mcu_.seconds() >= next_chores) {
         next_chores = mcu_.seconds() + std::min(kEepromPeriod, kReopenPeriod);
@@ -212,6 +289,15 @@ class Board {
     eeprom_.save();
     printf("avr_emulator: %s\n", speed().c_str());
     return status;
+  }
+
+ protected:
+  std::string answer(const std::string& line) override {
+    if (line == "get speed") return speed();
+    if (line != "get origin") return Board::answer(line);
+    char text[40];
+    snprintf(text, sizeof text, "%.6f", origin_);
+    return text;
   }
 
  private:
@@ -261,86 +347,71 @@ class Board {
     return text;
   }
 
-  std::string answer(const std::string& line) {
-    std::istringstream words(line);
-    std::string command, name;
-    words >> command >> name;
-    Values& values = world_->values;
-    if (command == "get") {
-      if (name == "speed") return speed();
-      char text[40];
-      if (name == "origin") {
-        snprintf(text, sizeof text, "%.6f", origin_);
-        return text;
-      }
-      if (!values.has(name)) return "error: no value named \"" + name + "\"; list names them";
-      snprintf(text, sizeof text, "%.10g", values.get(name));
-      return text;
-    }
-    if (command == "set") {
-      double value;
-      if (!(words >> value) || !std::isfinite(value)) return "error: set NAME NUMBER";
-      if (!values.has(name)) return "error: no value named \"" + name + "\"; list names them";
-      if (!values.set(name, value)) return "error: \"" + name + "\" can only be read";
-      return "ok";
-    }
-    if (command == "history") {
-      const std::string history = values.history(name);
-      return history.empty() ? "error: \"" + name + "\" has no history" : history;
-    }
-    if (command == "list") return values.names();
-    if (command == "reset") {
-      mcu_.reset();
-      return "ok";
-    }
-    if (command == "reset_on_change") {
-      const unsigned long address = strtoul(name.c_str(), nullptr, 0);
-      if (address == 0 || address > 0x8FF) return "error: reset_on_change ADDRESS";
-      mcu_.reset_on_change(uint16_t(address));
-      return "ok";
-    }
-    if (command == "power_cycle") {
-      mcu_.power_cycle();
-      return "ok";
-    }
-    if (command == "dtr") {
-      mcu_.dtr();
-      return "ok";
-    }
-    if (command == "dtr_in_read") {
-      mcu_.dtr_in_read();
-      return "ok";
-    }
-    if (command == "crash") {
-      mcu_.crash();
-      return "ok";
-    }
-    if (command == "stall") {
-      double seconds;
-      if (!(std::istringstream(name) >> seconds) || !(seconds >= 0 && seconds < 1e6)) return "error: stall SECONDS";
-      mcu_.stall(seconds);
-      return "ok";
-    }
-    if (command == "quit") {
-      stop_requested = 1;
-      return "ok";
-    }
-    return "error: commands are get, set, history, list, reset, reset_on_change, power_cycle, dtr, dtr_in_read, crash, "
-           "stall, quit";
-  }
-
-  Mcu mcu_;
   EepromFile eeprom_;
-  std::unique_ptr<World> world_;
   SerialEnd serial_;
   std::unique_ptr<Control> control_;
   std::vector<pollfd> descriptors_;
-  uint64_t sent_bytes_ = 0;
-  double last_sent_ = 0;
   double wall_start_ = 0;
   double origin_ = 0;  // the wall clock at emulated second 0
   double left_out_ = 0;
-  double line_first_ = 0;  // 1: the emulated clock stands while no byte waits on the line to the board
+};
+
+// Nothing here waits for a clock: a client that is slow only makes the same take longer.
+class LockStepBoard : public Board {
+ public:
+  explicit LockStepBoard(const Options& options)
+      : Board(options),
+        control_(options.control, [this](const std::string& line) { return answer(line); }, true) {
+    prctl(PR_SET_PDEATHSIG, SIGTERM);  // whoever started it was killed
+    signal(SIGCHLD, SIG_IGN);
+    if (!run_until(uint64_t(options.boot * mcu_.frequency()))) throw std::runtime_error("the program has stopped");
+    printf("avr_emulator: %s on %s\n", options.elf.c_str(), options.control.c_str());
+    fflush(stdout);
+  }
+
+  int run() {
+    std::vector<pollfd> descriptors;
+    while (!stop_requested && !control_.is_over()) {
+      descriptors.clear();
+      control_.add_to(descriptors);
+      if (poll(descriptors.data(), descriptors.size(), -1) <= 0) continue;
+      for (const pollfd& descriptor : descriptors) control_.handle(descriptor);
+    }
+    return 0;
+  }
+
+ protected:
+  // run SECONDS: the board runs until that emulated second. The answer is its time then, and SECONDS:HEX of each byte
+  // whose stop bit it has sent since the last one. send HEX: bytes follow on the line to the board.
+  std::string answer(const std::string& line) override {
+    std::istringstream words(line);
+    std::string command, argument;
+    words >> command >> argument;
+    if (command == "send") {
+      std::vector<uint8_t> bytes;
+      unsigned byte;
+      for (size_t at = 0; at < argument.size(); at += 2) {
+        if (sscanf(argument.c_str() + at, "%2x", &byte) != 1) return "error: send HEX";
+        bytes.push_back(uint8_t(byte));
+      }
+      mcu_.uart_receive(bytes.data(), bytes.size());
+      return "ok";
+    }
+    if (command != "run") return Board::answer(line);
+    const double end = strtod(argument.c_str(), nullptr);
+    if (!run_until(uint64_t(end * mcu_.frequency()))) return "error: the program has stopped";
+    char text[32];
+    snprintf(text, sizeof text, "%.7f", mcu_.seconds());
+    std::string all = text;
+    for (const SentByte& each : take_sent()) {
+      snprintf(text, sizeof text, " %.6f:%02x", each.seconds, each.byte);
+      all += text;
+    }
+    return all;
+  }
+
+ private:
+  Control control_;
 };
 
 }  // namespace
@@ -352,8 +423,8 @@ int main(int argc, char** argv) {
   sigaction(SIGTERM, &action, nullptr);
   sigaction(SIGINT, &action, nullptr);
   try {
-    Board board(parse(argc, argv));
-    return board.run();
+    const Options options = parse(argc, argv);
+    return options.lock_step ? LockStepBoard(options).run() : RealTimeBoard(options).run();
   } catch (const std::exception& error) {
     fprintf(stderr, "avr_emulator: %s\n", error.what());
     return 1;

@@ -16,8 +16,8 @@ namespace {
 const size_t kLineMax = 4096;
 }
 
-Control::Control(const std::string& path, std::function<std::string(const std::string&)> answer)
-    : path_(path), answer_(std::move(answer)) {
+Control::Control(const std::string& path, std::function<std::string(const std::string&)> answer, bool copies)
+    : path_(path), answer_(std::move(answer)), copies_(copies) {
   sockaddr_un address;
   memset(&address, 0, sizeof address);
   address.sun_family = AF_UNIX;
@@ -36,20 +36,35 @@ Control::Control(const std::string& path, std::function<std::string(const std::s
 
 Control::~Control() {
   for (const auto& client : clients_) close(client.first);
-  if (listener_ >= 0) close(listener_);
+  if (listener_ < 0) return;
+  close(listener_);
   unlink(path_.c_str());
 }
 
 void Control::add_to(std::vector<pollfd>& descriptors) const {
-  descriptors.push_back(pollfd{listener_, POLLIN, 0});
+  if (listener_ >= 0) descriptors.push_back(pollfd{listener_, POLLIN, 0});
   for (const auto& client : clients_) descriptors.push_back(pollfd{client.first, POLLIN, 0});
+}
+
+void Control::take_client() {
+  // A copy has nothing else to do than to wait for its client.
+  const int client = accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC | (copies_ ? 0 : SOCK_NONBLOCK));
+  if (client < 0) return;
+  if (copies_) {
+    if (fork() != 0) {
+      close(client);
+      return;
+    }
+    close(listener_);
+    listener_ = -1;
+  }
+  clients_[client];
 }
 
 void Control::handle(const pollfd& descriptor) {
   if (descriptor.revents == 0) return;
   if (descriptor.fd == listener_) {
-    const int client = accept4(listener_, nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
-    if (client >= 0) clients_[client];
+    take_client();
     return;
   }
   const auto found = clients_.find(descriptor.fd);

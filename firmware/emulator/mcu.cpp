@@ -7,7 +7,7 @@
 //   arrives while two bytes and the shift register are full is lost and counted, as on the chip.
 // - By default it sleeps a microsecond on each read of UCSR0A and prints the output. Both are disabled.
 // - Its ADC computes volts * 1023 / reference, the chip 1024. The voltage is scaled to compensate.
-// - Its sleep calls usleep(), which loses time at every call. main() keeps real time instead.
+// - Its sleep calls usleep(), which loses time at every call. In real time main() waits instead.
 // - It polls a low pin of a level-triggered INT each cycle, even if disabled, and INT1 (pin 3) is such a pin
 //   after a reset, so the chip would never sleep. The polling is disabled.
 // - A reset removes all its cycle timers; they are started again. A reset also forgets the levels of input
@@ -157,12 +157,10 @@ Mcu::~Mcu() { avr_terminate(avr_); }
 
 uint64_t Mcu::cycles() const { return avr_->cycle; }
 uint64_t Mcu::frequency() const { return avr_->frequency; }
-uint32_t Mcu::program_counter() const { return avr_->pc; }
 uint8_t Mcu::data(uint16_t address) const { return avr_->data[address]; }
 
 bool Mcu::run_until(uint64_t cycle) {
   while (avr_->cycle < cycle) {
-    if (dtr_due_) dtr();
     hold_program();
     const bool resetting = avr_->run != run_;
     const int state = avr_run(avr_);
@@ -171,7 +169,6 @@ bool Mcu::run_until(uint64_t cycle) {
       after_cpu_reset();
     }
     if (state == cpu_Crashed || state == cpu_Done) return false;
-    if (watched_ != 0 && avr_->data[watched_] != watched_value_) reset();
   }
   return true;
 }
@@ -202,14 +199,7 @@ void Mcu::reset() {
   after_cpu_reset();
 }
 
-void Mcu::reset_on_change(uint16_t address) {
-  watched_ = address;
-  watched_value_ = avr_->data[address];
-  avr_->run_cycle_limit = 1;  // one instruction at a time
-}
-
 void Mcu::after_cpu_reset() {
-  watched_ = 0;
   avr_->state = cpu_Running;
   boot_end_ = stall_end_ = 0;
   program_held_ = false;
@@ -246,7 +236,6 @@ void Mcu::power_cycle() {
 }
 
 void Mcu::dtr() {
-  dtr_due_ = false;
   reset();
   if (has_bootloader()) {
     avr_regbit_clear(avr_, avr_->reset_flags.porf);
@@ -426,10 +415,10 @@ void Mcu::uart_output(uint8_t byte) {
   uart_out_.emplace_back(uart_out_free_, sampled(byte, wire_bit() * 10.0 / uart_->cycles_per_byte));
 }
 
-std::string Mcu::uart_take_sent() {
-  std::string sent;
+std::vector<SentByte> Mcu::uart_take_sent() {
+  std::vector<SentByte> sent;
   while (!uart_out_.empty() && uart_out_.front().first <= avr_->cycle) {
-    sent.push_back(char(uart_out_.front().second));
+    sent.push_back({double(uart_out_.front().first) / avr_->frequency, uart_out_.front().second});
     uart_out_.pop_front();
   }
   return sent;
@@ -456,10 +445,6 @@ void Mcu::i2c_message(uint32_t value) {
   if (kind & TWI_COND_READ) {
     avr_raise_irq(i2c_input_, avr_twi_irq_msg(TWI_COND_READ, address, i2c_selected_->read()));
     i2c_sending_ = kind & TWI_COND_ACK;
-    if (i2c_sending_ && dtr_in_read_) {
-      dtr_in_read_ = false;
-      dtr_due_ = true;
-    }
   }
 }
 

@@ -27,6 +27,11 @@ class I2cDevice {
   virtual void power_on() = 0;
 };
 
+struct SentByte {
+  double seconds;  // when its stop bit ended
+  uint8_t byte;
+};
+
 class Mcu {
  public:
   // bootloader: a file in Intel HEX that runs first after each reset; empty: none.
@@ -45,14 +50,10 @@ class Mcu {
   void reset();
   // As reset(), but the RAM has random content and the I2C devices are reset. The EEPROM is kept.
   void power_cycle();
-  // A reset as soon as the byte at this data address has another value.
-  void reset_on_change(uint16_t address);
   // As when the port of a real Nano is opened: a reset, then a second in the bootloader with all pins floating;
   // the bootloader if there is one.
   void dtr();
   bool has_bootloader() const;
-  // dtr() as soon as an I2C device is sending.
-  void dtr_in_read() { dtr_in_read_ = true; }
   // The program enters an endless loop with its interrupts disabled.
   void crash();
   double crash_seconds() const { return crash_seconds_; }  // when it did
@@ -71,13 +72,10 @@ class Mcu {
   void uart_receive(const uint8_t* bytes, size_t size);
   size_t uart_backlog() const { return uart_in_.size(); }
   // Takes the bytes whose stop bit the board has sent by now.
-  std::string uart_take_sent();
+  std::vector<SentByte> uart_take_sent();
   // Emulated seconds at which the last byte had arrived.
   double uart_last_received() const { return uart_last_received_; }
   void set_baud(unsigned baud) { cycles_per_wire_byte_ = 10.0 * frequency() / baud; }
-  // How much faster than nominal the other end of the wire sends and samples.
-  void set_baud_error(double share) { baud_error_ = share; }
-  double baud_error() const { return baud_error_; }
   uint64_t uart_received() const { return uart_received_; }
   uint64_t uart_overruns() const { return uart_overruns_; }
 
@@ -88,7 +86,6 @@ class Mcu {
   // Called after each reset, when all outputs have changed without being written.
   std::function<void()> after_reset;
 
-  uint32_t program_counter() const;
   uint8_t data(uint16_t address) const;
   void on_write(uint16_t address, std::function<void()> callback);
   void on_output_pin(char port, int bit, std::function<void(bool level)> callback);
@@ -132,17 +129,13 @@ class Mcu {
   void adc_trigger(uint32_t value);
   uint64_t feed_uart(uint64_t when);
   void uart_output(uint8_t byte);
-  double wire_bit() const { return cycles_per_wire_byte_ / 10 / (1 + baud_error_); }
+  double wire_bit() const { return cycles_per_wire_byte_ / 10; }
 
   avr_t* avr_;
   void (*run_)(avr_t*);  // avr_->run, but while the watchdog resets the chip
   uint64_t boot_end_ = 0;
   uint64_t stall_end_ = 0;
   bool program_held_ = false;
-  uint16_t watched_ = 0;  // data address; 0: none
-  uint8_t watched_value_ = 0;
-  bool dtr_in_read_ = false;
-  bool dtr_due_ = false;
   unsigned watchdog_resets_ = 0;
   double crash_seconds_ = 0;
 
@@ -154,7 +147,6 @@ class Mcu {
   std::deque<Hook> hooks_;  // a deque keeps their addresses
 
   double cycles_per_wire_byte_;
-  double baud_error_ = 0;
   std::deque<uint8_t> uart_in_;
   double uart_line_free_ = 0;  // cycle at which the next byte from the wire may start
   bool uart_feeding_ = false;

@@ -20,7 +20,7 @@ from serial_communication.transport.port import Port
 from .child import serve, sleep_until
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'firmware'))
-from emulated_board import EmulatedBoard, build_firmware  # noqa: E402
+from emulated_board import Channel, Emulator, build_firmware  # noqa: E402
 
 _LEARN = WINDOW     # s; then the line has all the points that it uses
 
@@ -62,8 +62,10 @@ def measure(build: str, seconds: float, batch: float) -> Dict[str, List[float]]:
     """
     times: list = []       # (board's time, stamp of the read) of each TIME
     found: list = []       # the same, and the stamp, of each TICKS
-    with EmulatedBoard(build, 'car') as board, tempfile.TemporaryDirectory() as folder:
-        adapter = Adapter(board.port, folder + '/adapter', batch) if batch else None
+    emulator = Emulator(build, 'car', None, '--still')
+    board = Channel(emulator.control)
+    with tempfile.TemporaryDirectory() as folder:
+        adapter = Adapter(emulator.port, folder + '/adapter', batch) if batch else None
 
         def on_message(message: Any, stamp: float) -> None:
             if isinstance(message, wire.Ticks) and times:
@@ -73,7 +75,7 @@ def measure(build: str, seconds: float, batch: float) -> Dict[str, List[float]]:
             if frame.type == wire.Time.TYPE:
                 times.append((frame.ticks, frame.stamp))
 
-        link = ArduinoLink(Port(f'{folder}/adapter' if adapter else board.port),
+        link = ArduinoLink(Port(f'{folder}/adapter' if adapter else emulator.port),
                            clock=time.monotonic, on_message=on_message)
         link.session.tap = tap
         origin = board.ask('get origin')
@@ -86,6 +88,8 @@ def measure(build: str, seconds: float, batch: float) -> Dict[str, List[float]]:
             link.join()
             if adapter:
                 adapter.close()
+            board.close()
+            emulator.close()
         if has_stalled:
             return {'read': [], 'board': [], 'distance': []}
     found = [(float(origin) + ticks * 1e-6, *stamps) for ticks, *stamps in found]

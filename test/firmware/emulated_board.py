@@ -1,20 +1,21 @@
-"""Starts emulated boards and talks to their control channel.
+"""Emulated boards in lock step with a test; needs neither ROS nor the package.
 
-Needs neither ROS nor the Python package.
+A board's time moves only in run(), so nothing depends on how busy this machine is:
 
-with EmulatedBoard(build_firmware(), 'car') as board:
-    port = serial.Serial(board.port, 115200)
-    board.set('yaw', 30)
-    board.wait_until(lambda: board.get('turning') == 0, seconds=5)
+    board = Booted(build_firmware(), 'car').copy()
+    board.beat = arduino_packet(HEARTBEAT)      # what the computer sends every 10 ms
+    board.run(0.5)
+    board.next(TICKS, 10)
 """
-
 import fcntl
 import os
 import shutil
 import socket
 import subprocess
 import tempfile
-import time
+from typing import NamedTuple
+
+from by_definition import arduino_at, decode, mcu_at, reply_at
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 FIRMWARE = os.path.join(os.path.dirname(os.path.dirname(HERE)), 'firmware')
@@ -22,18 +23,28 @@ FIRMWARE = os.path.join(os.path.dirname(os.path.dirname(HERE)), 'firmware')
 # The program that belongs into each world.
 IMAGES = {'car': 'nano_car_emulated.elf', 'ctrl': 'ctrl_board.elf', 'range': 'range_imu.elf',
           'diff': 'DiffDrive.elf'}
+# The protocol of what is sent there.
+PROTOCOLS = {'ctrl': reply_at, 'range': mcu_at}
 
-# The "old bootloader" of the Nano, 57600 baud, and the folder of all.
-BOOTLOADERS = '/usr/share/arduino/hardware/arduino/avr/bootloaders'
-BOOTLOADER = os.path.join(BOOTLOADERS, 'atmega', 'ATmegaBOOT_168_atmega328.hex')
+BEAT = 0.01     # s
+TEXTS = range(4)
 
 
 class BoardError(Exception):
     """The emulator did not start, ended, or refused a command."""
 
 
+class Received(NamedTuple):
+    """A frame or packet from a board, and the emulated second in which its last bit was sent."""
+
+    at: float
+    type: int
+    number: int
+    data: bytes
+
+
 def build_firmware():
-    """Builds the firmware and the emulator, as far as they are not up to date.
+    """Build the firmware and the emulator, as far as they are not up to date.
 
     Returns the directory: the one that scripts/avr_board builds into, or FIRMWARE_BUILD.
     """
@@ -51,116 +62,161 @@ def build_firmware():
     return build
 
 
-class EmulatedBoard:
-    """One emulator process; a context manager.
+class Emulator:
+    """A process of the emulator, with a folder of its own for its sockets and links."""
 
-    build: the directory that make built into.
-    world: car, ctrl, range or diff.
-    still: nothing moves but what the board moves and what is set.
-    port: an existing tty for the UART; by default the emulator makes a pty, and `port` is its link.
-    eeprom: a file to keep the EEPROM in.
-    bootloader: a HEX file; each opening of the pty starts it, as of a real Nano.
-    """
-
-    def __init__(self, build, world, still=True, port=None, eeprom=None, image=None,
-                 bootloader=None):
-        self._directory = tempfile.mkdtemp(prefix='avr_board_')
-        self._socket = None
-        self._pending = b''
-        self.port = port or os.path.join(self._directory, 'uart')
-        control = os.path.join(self._directory, 'control')
-        command = [os.path.join(build, 'avr_emulator'), '--world', world, '--control', control]
-        command += ['--port', port] if port else ['--link', self.port]
-        command += ['--still'] if still else []
-        command += ['--eeprom', eeprom] if eeprom else []
-        command += ['--bootloader', bootloader] if bootloader else []
-        command.append(os.path.join(build, image or IMAGES[world]))
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                                        universal_newlines=True)
-        # The first line comes when everything is set up.
-        self.banner = self.process.stdout.readline()
-        if 'on' not in self.banner.split():
+    def __init__(self, build, world, image, *options):
+        self.folder = tempfile.mkdtemp(prefix='avr_board_')
+        self.control = os.path.join(self.folder, 'control')
+        self.port = os.path.join(self.folder, 'uart')       # in real time
+        self._process = subprocess.Popen(
+            [os.path.join(build, 'avr_emulator'), '--world', world, '--control', self.control,
+             '--link', self.port, *options, os.path.join(build, image or IMAGES[world])],
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
+        banner = self._process.stdout.readline()    # comes when everything is set up
+        if 'on' not in banner.split():
             self.close()
-            raise BoardError('the emulator did not start: ' + self.banner)
-        self._socket = socket.socket(socket.AF_UNIX)
-        self._socket.connect(control)
-        self._socket.settimeout(10)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *exception):
-        self.close()
+            raise BoardError('the emulator did not start: ' + banner)
 
     def close(self):
-        """Ends the emulator and returns the last line that it printed."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-        if self.process.poll() is None:
-            self.process.terminate()
-        output = self.process.communicate(timeout=10)[0]
-        shutil.rmtree(self._directory, ignore_errors=True)
-        return output.strip().split('\n')[-1]
+        """End it; copies go on."""
+        self._process.terminate()
+        self._process.wait()
+        self._process.stdout.close()
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+class Channel:
+    """A client of the emulator's control channel."""
+
+    def __init__(self, path):
+        self._socket = socket.socket(socket.AF_UNIX)
+        self._socket.connect(path)
+        self._answers = self._socket.makefile('r', encoding='ascii')
+
+    def close(self):
+        """End it; in lock step, so does the board."""
+        self._answers.close()
+        self._socket.close()
 
     def ask(self, line):
-        """Sends one line to the control channel and returns the answer."""
+        """Send one line, and return the answer."""
         self._socket.sendall(line.encode('ascii') + b'\n')
-        return self._answer(line)
-
-    def _answer(self, line):
-        while b'\n' not in self._pending:
-            received = self._socket.recv(4096)
-            if not received:
-                raise BoardError('the emulator ended')
-            self._pending += received
-        answer, self._pending = self._pending.split(b'\n', 1)
-        answer = answer.decode('ascii')
-        if answer.startswith('error'):
-            raise BoardError('%s: %s' % (line, answer))
+        answer = self._answers.readline().rstrip('\n')
+        if not answer or answer.startswith('error'):
+            raise BoardError(f'{line}: {answer or "the emulator ended"}')
         return answer
 
     def get(self, name):
-        """The value of that name, as a float."""
+        """Return the value of that name, as a float."""
         return float(self.ask('get ' + name))
 
-    def at_once(self, *names):
-        """The values of these names at one moment of the board's."""
-        first, *others = ('get ' + name for name in names)
-        return [float(self.ask('\n'.join([first, *others])))] + [
-            float(self._answer(other)) for other in others]
-
-    def set(self, name, value):
-        self.ask('set %s %.10g' % (name, value))
+    def set(self, **values):
+        """Set these values."""
+        for name, value in values.items():
+            self.ask(f'set {name} {float(value):.10g}')
 
     def history(self, name):
-        """The changes of a recorded output, oldest first: a list of (emulated seconds, value)."""
+        """Return the changes of an output, oldest first: a list of (emulated s, value)."""
         numbers = [float(word) for word in self.ask('history ' + name).split()]
         return list(zip(numbers[0::2], numbers[1::2]))
 
-    def reset(self):
-        self.ask('reset')
 
-    def power_cycle(self):
-        self.ask('power_cycle')
+class Booted(Emulator):
+    """A board that has run for `boot` emulated seconds, and stands; each copy begins there."""
 
-    @property
-    def time(self):
-        """Emulated seconds since the start."""
-        return self.get('time')
+    def __init__(self, build, world, image=None, boot=0.1):
+        super().__init__(build, world, image, '--lock-step', '--still', '--boot', str(boot))
+        self._frame_at = PROTOCOLS.get(world, arduino_at)
 
-    def wait_until(self, condition, seconds):
-        """Asks for `condition` until it holds; fails after so many emulated seconds."""
-        end = self.time + seconds
+    def copy(self):
+        """Return a board of its own."""
+        return Board(self.control, self._frame_at)
+
+
+class Board(Channel):
+    """A board in lock step, and the computer's end of its link.
+
+    `beat` is sent every 10 ms while the board runs. `received` has what has come since forget().
+    """
+
+    def __init__(self, path, frame_at):
+        super().__init__(path)
+        self.beat = b''
+        self.received = []
+        self._frame_at = frame_at
+        self._rest = bytearray()    # the beginning of a frame
+        self._times = []            # when each of its bytes was sent
+        self._next_beat = 0.0
+        self.now = self.get('time')
+
+    def send(self, data):
+        """Put bytes on the line to the board, behind those that are there."""
+        for at in range(0, len(data), 1000):
+            self.ask('send ' + data[at:at + 1000].hex())
+
+    def run(self, seconds):
+        """Let the board run for so many emulated seconds."""
+        end = self.now + seconds
+        while self.beat:
+            self._next_beat = max(self._next_beat, self.now)
+            if self._next_beat >= end:
+                break
+            self._run_until(self._next_beat)
+            self.send(self.beat)
+            self._next_beat += BEAT
+        self._run_until(end)
+
+    def _run_until(self, end):
+        now, *sent = self.ask(f'run {end:.7f}').split()
+        self.now = float(now)
+        if not sent:
+            return
+        for each in sent:
+            at, byte = each.split(':')
+            self._times.append(float(at))
+            self._rest += bytes.fromhex(byte)
+        frames, used = decode(bytes(self._rest), self._frame_at)
+        self.received += [Received(self._times[frame.end - 1], *frame.content) for frame in frames]
+        del self._rest[:used], self._times[:used]
+
+    def until(self, condition, most=5.0):
+        """Run until a condition holds; it has to within `most` emulated seconds."""
+        end = self.now + most
         while not condition():
-            if self.time > end:
-                # A computer that was kept from running may have missed it: once more.
-                if condition():
-                    return
-                raise AssertionError('not within %g emulated seconds' % seconds)
-            time.sleep(0.001)
+            assert self.now < end, f'not within {most:g} emulated seconds'
+            self.run(0.001)
 
-    def run_for(self, seconds):
-        """Waits for so many emulated seconds."""
-        end = self.time + seconds
-        self.wait_until(lambda: self.time > end, 2 * seconds + 1)
+    def forget(self):
+        """Drop what has been received."""
+        self.received = []
+
+    def seen(self, kind):
+        """Return the data of all of a kind."""
+        return [frame.data for frame in self.received if frame.type == kind]
+
+    def next(self, kind, count=1, most=5.0):
+        """Return the data of the next so many of a kind."""
+        self.forget()
+        self.until(lambda: len(self.seen(kind)) >= count, most)
+        return self.seen(kind)
+
+    def texts(self):
+        """Return the texts of a car for the log."""
+        return [frame.data.rstrip(b'\0').decode('ascii', 'replace')
+                for frame in self.received if frame.type in TEXTS]
+
+    def says(self, text, most=5.0):
+        """Run until the board has said something with this text."""
+        self.until(lambda: any(text in each for each in self.texts()), most)
+
+    def reply(self, most=1.0):
+        """Return the next reply of a bus board: CMD1 and DATE."""
+        self.until(lambda: self.received, most)
+        reply = self.received.pop(0)
+        return bytes((reply.type,)) + reply.data
+
+    def call(self, request, most=5.0):
+        """Send a request on the bus; return its reply."""
+        self.send(request)
+        return self.reply(most)

@@ -1,112 +1,143 @@
-"""The car's motor stops, whatever the board, its bus or its cable do at that moment."""
-
-import os
-import statistics
+"""What drives stops by itself, whatever the board, its bus, its cable or the computer do."""
 
 import pytest
 
-from board_ends import HEARTBEAT, car_end, drive_until, driving, packet
+from packets import (DOOR, HEARTBEAT, OK, PUMP, UP, cmd_vel, function, gripper, lift, request,
+                     speed, target)
 
-# MOTOR_STOP_ROUNDS=1000 measures each condition so often, and prints what came out.
-ROUNDS = int(os.environ.get('MOTOR_STOP_ROUNDS', '3'))
-
-PWM = 179    # of speed 700
-PWM_OF_THE_EXAMPLE = 178    # which does not round
-
-
-def drive(car, pwm=PWM):
-    drive_until(car, 700, lambda: car.board.get('motor_pwm') == pwm)
-
-
-def print_times(what, taken):
-    print('%s: %d times, %.1f / %.1f / %.1f ms (min / median / max)' % (
-        what, len(taken), min(taken) * 1000, statistics.median(taken) * 1000, max(taken) * 1000))
+ROUNDS = 3
+# What drives each image that needs heartbeats, and the outputs that are on then. A heartbeat is
+# the last, so that the last byte that arrives is a heartbeat's.
+DRIVEN = {
+    'nano_car_custom': ('car', speed(700) + gripper(1000, 1), ['motor_pwm']),
+    'Car': ('car', speed(700), ['motor_pwm']),
+    'Tuning': ('car', target(8), ['motor_pwm']),
+    'DiffDrive': ('diff', cmd_vel(0.4), ['left_pwm', 'right_pwm']),
+}
 
 
-def nothing(car):
-    pass
+def drive(board, orders, outputs):
+    """Send orders until all outputs are on."""
+    board.beat = orders + HEARTBEAT
+    board.until(lambda: all(board.get(output) for output in outputs))
 
 
-def sda_stuck(car):
-    car.board.set('sda_stuck', 1000)
+# What happens to the board at that moment, as lines of the emulator's control channel.
+CONDITIONS = {
+    'nothing': [],
+    'I2C is held low': ['set sda_stuck 1000'],
+    'the clock of I2C is held low': ['set scl_stuck 1'],
+    'the port is opened, which resets the board': ['dtr'],
+    'heartbeats are found late': ['stall 0.1'],
+    'more arrives than the buffer holds': ['stall 0.02'],
+}
 
 
-def scl_stuck(car):
-    car.board.set('scl_stuck', 1)
+@pytest.mark.parametrize('image, condition', [
+    *((image, condition) for image in DRIVEN
+      for condition in ('nothing', 'heartbeats are found late')),
+    *(('nano_car_custom', condition) for condition in CONDITIONS)])
+def test_all_is_off_33_ms_after_the_last_heartbeat(copy_of, image, condition):
+    world, orders, outputs = DRIVEN[image]
+    board = copy_of(world, image + '.elf')
+    for number in range(ROUNDS):
+        drive(board, orders, outputs)
+        board.run(0.05 + 0.0037 * number)
+        for line in CONDITIONS[condition]:
+            board.ask(line)
+        if condition.startswith('more'):
+            board.send(10 * board.beat)
+        board.run(0.04 if condition.startswith('heartbeats') else 0)
+        board.beat = b''
+        board.run(0.02)         # what is on the line has arrived
+        last = board.get('last_rx_time')
+        board.run(0.2)          # what was held up has been read
+        for output in outputs:
+            off, value = board.history(output)[-1]
+            assert value == 0 and off - last <= 0.033
+            if condition == 'nothing' or 'I2C' in condition:
+                assert off - last >= 0.03       # no heartbeat is called lost too early
+        board.set(sda_stuck=0, scl_stuck=0)
+        board.run(1)
 
 
-def uart_full(car):
-    """More than the buffer holds, while nobody reads it."""
-    car.board.ask('stall 0.02')
-    car.port.write((driving(700) + packet(HEARTBEAT)) * 10)
+@pytest.mark.parametrize('image', DRIVEN)
+def test_a_computer_that_was_suspended_has_to_send_a_new_order(copy_of, image):
+    """Its heartbeats alone turn nothing on."""
+    world, orders, outputs = DRIVEN[image]
+    board = copy_of(world, image + '.elf')
+    drive(board, orders, outputs)
+    board.beat = b''
+    board.run(1)
+    known = [board.history(output) for output in outputs]
+    board.beat = HEARTBEAT
+    board.run(1)
+    assert [board.history(output) for output in outputs] == known
+    drive(board, orders, outputs)
 
 
-def stalled(car):
-    """Heartbeats and commands come while loop() is held up; it finds them afterwards."""
-    car.board.ask('stall 0.1')
-    car.port.write(driving(700) * 4)
+@pytest.mark.parametrize('image', DRIVEN)
+def test_orders_without_heartbeats_turn_nothing_on(copy_of, image):
+    world, orders, outputs = DRIVEN[image]
+    board = copy_of(world, image + '.elf')
+    board.beat = orders
+    board.run(0.5)
+    assert all(value == 0 for output in outputs for _, value in board.history(output))
 
 
-def port_opened(car):
-    car.board.ask('dtr')
+# A program that hangs
 
 
-def check_stop_times(car, condition, pwm):
-    """Measures how long it takes from the last heartbeat to PWM 0, and checks it."""
-    board = car.board
-    taken = []
-    for _ in range(ROUNDS):
-        drive(car, pwm)
-        condition(car)
-        # With a speed, should this computer have been late and the motor stopped already.
-        car.port.write(driving(700) + packet(HEARTBEAT))
-        # Long enough for a loop() that was held up to read what had come meanwhile.
-        board.wait_until(lambda: board.time - board.get('last_rx_time') > 0.15, 2)
-        on, off = board.history('motor_pwm')[-2:]
-        # Bytes that a full UART loses can make another speed: the link has no checksum.
-        assert on[1] == pwm or (condition is uart_full and on[1] > 0)
-        assert off[1] == 0
-        taken.append(off[0] - board.get('last_rx_time'))
-        if condition is port_opened:
-            car.wait_for_text('IMU ready')
-        board.set('sda_stuck', 0)
-        board.set('scl_stuck', 0)
-        car.forget()
-    print_times(condition.__name__, taken)
-    assert max(taken) <= 0.033
-    if condition in (nothing, sda_stuck, scl_stuck):
-        assert min(taken) >= 0.030    # nor is a heartbeat too early called lost
+def sync(board):
+    board.call(request(0))
 
 
-@pytest.mark.parametrize('condition', [
-    nothing, sda_stuck, scl_stuck, uart_full, stalled, port_opened])
-def test_time_from_the_last_heartbeat_to_pwm_0(car, condition):
-    check_stop_times(car, condition, PWM)
+def lift_moves(board):
+    sync(board)
+    board.send(lift(UP, 200))
+    board.until(lambda: board.get('lift_moves'))
 
 
-@pytest.mark.parametrize('condition', [nothing, uart_full, stalled])
-def test_the_motor_of_the_example_stops_likewise(firmware_build, condition):
-    with car_end(firmware_build, image='Car.elf') as car:
-        check_stop_times(car, condition, PWM_OF_THE_EXAMPLE)
+def pump(board):
+    sync(board)
+    assert board.call(function(PUMP, 1)) == OK
 
 
-@pytest.mark.parametrize('held_up', [0.05, 0.1])
-def test_heartbeats_found_late_do_not_start_the_motor(car, held_up):
-    board = car.board
-    drive(car)
-    board.ask('stall %g' % held_up)
-    car.port.write(driving(700) * 6)
-    board.wait_until(lambda: board.time - board.get('last_rx_time') > 0.2, 2)
-    last = board.get('last_rx_time')
-    assert not [when for when, pwm in board.history('motor_pwm') if pwm and when > last]
-    car.wait_for_text('heartbeat lost')
-    assert board.get('watchdog_resets') == 0
-    drive(car)
+def pump_and_door(board):
+    pump(board)
+    board.send(function(DOOR, 1))
+    board.until(lambda: board.get('door'))
 
 
-def test_watchdog_ends_a_loop_that_hangs(car):
-    board = car.board
-    car.forget()
-    board.ask('stall 10')
-    board.wait_until(lambda: board.get('watchdog_resets') == 1, 1)
-    car.wait_for_text('IMU ready')
+CRASHING = {
+    **{image: (world, lambda board, orders=orders, outputs=outputs: drive(board, orders, outputs),
+               outputs + ['gripper_pwm'] * (image == 'nano_car_custom'))
+       for image, (world, orders, outputs) in DRIVEN.items()},
+    'ctrl_board': ('ctrl', lift_moves, []),
+    'ctrl_board_custom': ('ctrl', pump, ['pump']),
+    'Slave': ('ctrl', pump_and_door, ['pump', 'door']),
+    'range_imu': ('range', lambda board: None, []),
+}
+
+
+# With interrupts off; and on, where they let the emulated program go on a little.
+@pytest.mark.parametrize('hang, most', [('crash', 0.13), ('stall 10', 0.5)])
+@pytest.mark.parametrize('image', CRASHING)
+def test_the_watchdog_ends_a_program_that_hangs_and_all_is_off(copy_of, image, hang, most):
+    world, turn_on, outputs = CRASHING[image]
+    for number in range(ROUNDS):
+        board = copy_of(world, image + '.elf')
+        turn_on(board)
+        board.run(0.003 * number)
+        board.ask(hang)
+        board.beat = b''
+        board.until(lambda board=board: board.get('watchdog_resets'), most)
+        reset = board.now
+        board.run(0.3)
+        assert board.get('watchdog_resets') == 1       # it does not bite again
+        for output in outputs:
+            assert board.history(output)[-2][1] > 0
+            off, value = board.history(output)[-1]
+            assert value == 0 and off <= reset
+        if world == 'ctrl':
+            assert board.get('lift_last_step') <= reset

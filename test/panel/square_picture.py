@@ -1,13 +1,15 @@
 """The picture of a square that the emulated base drove, and of its odometry."""
 import itertools
 import math
+import struct
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / 'firmware'))
+sys.path[:0] = [str(Path(__file__).resolve().parents[1] / part) for part in ('firmware', 'helpers')]
 
-from driven_base import base_end  # noqa: E402
-from emulated_board import build_firmware  # noqa: E402
+from emulated_board import Booted, build_firmware  # noqa: E402
+from packets import HEARTBEAT, ODOM, cmd_vel  # noqa: E402
 
 SIDE = 1.0          # m
 WRONG = 1.03        # factor of a track that was measured badly
@@ -19,15 +21,52 @@ _STYLE = '''text { font: 15px "DejaVu Sans", sans-serif; fill: #333 }
 .wrong { stroke: #d1495b; stroke-width: 2; stroke-dasharray: 7 5 } line { stroke: #ddd }'''
 
 
+class Pose(NamedTuple):
+    """Where the base is: m, and rad."""
+
+    x: float
+    y: float
+    yaw: float
+
+
+class Drive:
+    """The emulated base, driven by its odometry as a program on the computer would."""
+
+    def __init__(self, board):
+        self._board = board
+        self.true, self.told = [], []      # where it was, and where its odometry had it
+
+    def until(self, left, ahead, turn):
+        """Drive until `left(pose)` is 0, slower and slower at the end; and stop."""
+        rest = 1.0
+        while rest > 0:
+            share = min(1.0, max(0.1, 3 * rest))
+            self._board.beat = cmd_vel(ahead * share, turn * share) + HEARTBEAT
+            rest = left(self.look())
+        self._board.beat = cmd_vel(0.0) + HEARTBEAT
+        self._board.run(1.0)
+        return self.look()
+
+    def look(self):
+        """Return the next odometry."""
+        self.told.append(Pose(*struct.unpack('<5f', self._board.next(ODOM)[0])[:3]))
+        self.true.append(Pose(self._board.get('x'), self._board.get('y'),
+                              math.radians(self._board.get('yaw'))))
+        return self.told[-1]
+
+
 def measure():
-    """The places (x, y) of the base and of its odometry; and both in the end, as a Pose."""
-    true, told = [], []
-    with base_end(build_firmware()) as base:
-        def seen():
-            true.append(base.truth()[:2])
-            told.append(base.believed())
-        base.drive_square(SIDE, seen)
-        return true, told, base.truth(), base.believed()
+    """The poses of the base and of its odometry."""
+    booted = Booted(build_firmware(), 'diff')
+    drive = Drive(booted.copy())
+    begin = drive.look()
+    for number in range(1, 5):
+        begin = drive.until(lambda at, begin=begin: SIDE - math.hypot(
+            at.x - begin.x, at.y - begin.y), 0.3, 0.0)
+        begin = drive.until(lambda at, number=number: math.remainder(
+            number * math.pi / 2 - at.yaw, 2 * math.pi), 0.0, 1.2)
+    booted.close()
+    return drive.true, drive.told
 
 
 def with_track(poses, factor):
@@ -50,8 +89,9 @@ def line(places, kind):
     return f'<path class="{kind}" d="M {different}"/>'
 
 
-def picture(true, told, base, believed):
+def picture(true, told):
     """All of them as the text of an SVG."""
+    base, believed = true[-1], told[-1]
     wrong = with_track(told, WRONG)
     off = math.hypot(base.x - believed.x, base.y - believed.y) * 1000
     turned = abs(math.degrees(math.remainder(base.yaw - believed.yaw, 2 * math.pi)))

@@ -2,15 +2,19 @@
 
 It is measured with the example Tuning on an emulated board: tuning_picture.py FOLDER.
 """
+import itertools
+import struct
 import sys
 from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / part) for part in ('firmware', 'helpers')]
 
-from board_ends import car_end  # noqa: E402
-from emulated_board import build_firmware  # noqa: E402
-from wheel import GAINS, STEP, response, set_to  # noqa: E402
+from by_definition import SETTING, arduino_packet  # noqa: E402
+from emulated_board import Booted, build_firmware  # noqa: E402
+from packets import HEARTBEAT, WHEEL_SPEED, target  # noqa: E402
 
+GAINS = 'kp', 'ki', 'kd'            # settings 1 to 3
+STEP = 8                            # turns/s
 SECONDS = 3
 # Gains, color, and what to say of them. The first are those of the sketch.
 CURVES = (((4, 20, 0), '#d1495b', 'before'), ((40, 200, 0), '#00798c', 'after'),
@@ -19,14 +23,23 @@ _LEFT, _TOP, _WIDTH, _HEIGHT = 60, 75, 800, 340     # of the plot, in pixels
 _MOST = 10                # turns/s, at the top
 
 
+def response(board, gains):
+    """Turns/s of the wheel every 10 ms, from its first motion after a step from 0 to `STEP`."""
+    for number, gain in enumerate(gains, 1):
+        board.send(arduino_packet(SETTING, struct.pack('<Bf', number, gain)))
+    board.run(0.1)
+    board.forget()
+    board.beat = target(STEP) + HEARTBEAT
+    board.run(SECONDS + 0.5)
+    speeds = (struct.unpack('<f', data)[0] for data in board.seen(WHEEL_SPEED))
+    return list(itertools.dropwhile(lambda speed: speed == 0, speeds))[:100 * SECONDS]
+
+
 def measure(build):
-    """The response to a step with each of the gains: turns/s every 10 ms."""
-    found = []
-    with car_end(build, image='Tuning.elf') as car:
-        for gains, _, _ in CURVES:
-            for number, gain in enumerate(gains, 1):
-                set_to(car, 'f', number, gain)
-            found.append(response(car, SECONDS + 0.5)[:100 * SECONDS])
+    """The response to a step with each of the gains."""
+    booted = Booted(build, 'car', 'Tuning.elf')
+    found = [response(booted.copy(), gains) for gains, _, _ in CURVES]
+    booted.close()
     return found
 
 

@@ -56,14 +56,4 @@ class HardwareSerial : public Stream {
 };
 extern HardwareSerial Serial;
 
-class String {
- public:
-  String(const char* text);
-  String(const String& other);
-  ~String();
-
- private:
-  char* text_;
-};
-
 #endif

@@ -1,5 +1,4 @@
-// The signatures of Pololu's library that the sensor board uses. esp32_sensor_board.cpp has the least behind them;
-// it also runs with the library itself.
+// The signatures of Pololu's library that the sensor board uses.
 
 #ifndef STUB_VL53L0X_H
 #define STUB_VL53L0X_H
