@@ -78,7 +78,7 @@ class Robot:
     def __init__(self, folder):
         self.lines = {name: Line(os.path.join(folder, name)).plug()
                       for name in ('bus', 'arduino', 'mcu')}
-        self.bus = BusBoard(self.lines['bus'].far, polled=True)
+        self.bus = BusBoard(self.lines['bus'].far)
         self.car = CarBoard(self.lines['arduino'].far)
         self.sensors = SensorBoard(self.lines['mcu'].far)
         self.reset()

@@ -6,7 +6,7 @@ import signal
 import sys
 from argparse import Namespace
 
-from processes import StageError
+from bench.processes import StageError
 from serial_communication.output import prepare_output
 from .lines import NetworkLine, SerialLine
 from .requirements import Table

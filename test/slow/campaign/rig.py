@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Dict, Iterator, Set
 
 import by_definition as codec
-from processes import Child, Stage
+from bench.processes import Child, Stage
 from .boards import BEAT_MISSED, CUSTOM, PERIODS, BusBoard, Car, Sensors
 from .lines import Clock, NetworkLine, SerialLine
 from .machine import MARGIN, Machine

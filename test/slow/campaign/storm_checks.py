@@ -13,7 +13,7 @@ from collections import Counter, defaultdict, deque
 from statistics import median
 from typing import Any, Deque, Dict, Iterator, List, NamedTuple, Tuple
 
-from processes import usage_of
+from bench.processes import usage_of
 import by_definition as codec
 from .boards import ANNOUNCE, DEPTH, HEIGHT, MEMORY, Fence, Key, Packet, Request
 from .rig import FENCED, POLLED_TOPICS, SPEED_TIMEOUT, Rig
