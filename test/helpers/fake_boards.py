@@ -166,11 +166,6 @@ class CarBoard(Shown, arduino_simulator.ModelCar):
         return [frame.message for frame in list(self.command_frames)]
 
     @property
-    def raw_commands(self):
-        """The bytes of `command_frames`."""
-        return [frame.raw for frame in list(self.command_frames)]
-
-    @property
     def speeds(self):
         """The values of the speed commands among them."""
         return [message.value for message in self.commands()

@@ -15,7 +15,7 @@ import roslib.packages
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Log
-from std_srvs.srv import Empty, Trigger
+from std_srvs.srv import Trigger
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'helpers'))
 from fake_boards import (AIR, BusBoard, CarBoard, SensorBoard, level_imu,  # noqa: E402,F401
@@ -230,15 +230,6 @@ def command_topic(name, message_class):
     topic = rospy.Publisher(name, message_class, queue_size=100, tcp_nodelay=True)
     until(topic.get_num_connections, 'the bridge subscribes to %s' % name)
     return topic
-
-
-def calibrates(node=PACKAGE):
-    """Whether the service succeeds; it is refused after a stall of this machine."""
-    try:
-        service('/%s/calibrate_imu' % node, Empty)()
-    except rospy.ServiceException:
-        return False
-    return True
 
 
 def until_in_step(node=PACKAGE):

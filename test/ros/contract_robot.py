@@ -17,8 +17,8 @@ import yaml
 from boards import (NODE, PACKAGE, Bridge, BusBoard, CarBoard, Diagnostics, Line, Rosout,
                     SensorBoard, Topic, again_if_stalled, command_topic, names_of, service, settle,
                     until)
+from by_definition import FUNCTION, LIFT, OK
 from serial_communication.boards.arduino import DESCRIPTION
-from serial_communication.boards.bus import wire as bus
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -49,9 +49,9 @@ def parameters():
     return given
 
 
-def resolved(name):
+def resolved(name, node=NODE):
     """The full name of a topic or service, `~x` or `x`."""
-    return f'{NODE}/{name[1:]}' if name[0] == '~' else f'/{name}'
+    return f'{node}/{name[1:]}' if name[0] == '~' else f'/{name}'
 
 
 class Robot:
@@ -150,11 +150,15 @@ class Contract(unittest.TestCase):
         return self.diagnostics.wait_for(link, lambda status: condition(status.keys['condition']),
                                          'another condition', is_fresh=False)
 
+    def reconnects(self, link):
+        """How often the bridge has opened a port again, by a new status."""
+        return int(self.diagnostics.wait_for(link, lambda status: True, 'keys').keys['reconnects'])
+
     def service(self, name, service_class):
         """A service of the bridge."""
         return service(resolved(name), service_class)
 
-    def answered(self, call, *arguments, reply=None, cmd2=bus.LIFT, status=bus.OK):
+    def answered(self, call, *arguments, reply=None, cmd2=LIFT, status=OK):
         """The answer to a call of the bus that has this status; the board's reply to this function
         is given, if it is not the usual one.
 
@@ -162,7 +166,7 @@ class Contract(unittest.TestCase):
         """
         def answer():
             settle(PACKAGE, self.bus)
-            self.bus.rule = lambda request: reply if request[:2] == (bus.FUNCTION, cmd2) else None
+            self.bus.rule = lambda request: reply if request[:2] == (FUNCTION, cmd2) else None
             found = call(*arguments)
             return found if found.status == status else print(found)
         return again_if_stalled(answer)

@@ -27,6 +27,7 @@ from boards import (NODE, NOT_SENT, PACKAGE, SPEED_0_PACKET, SYNC_FRAME, TIMEOUT
                     until, wait_for_launch)
 from by_definition import announcement, arduino_packet
 from contract_published import OF_ROS, PUBLISHED, SERVICES, SUBSCRIBED
+from contract_robot import resolved
 from publishers import FakePublisher
 from serial_communication.msg import SpeedPWMCommand, Voltage
 from serial_communication.srv import GetEnvironment, Gimbal, Lift
@@ -78,14 +79,13 @@ class Start(BoardsTest):
             bridges[link] = self.start(Bridge, f'only_{link}', ports)
         for link, bridge in bridges.items():
             node, links = f'/only_{link}', ('', link) if link else ('',)
-            expected = [{f'{node}/{name[1:]}' if name[0] == '~' else f'/{name}' for each in links
-                         for name in table.get(each, ())}
+            expected = [{resolved(name, node) for each in links for name in table.get(each, ())}
                         for table in (PUBLISHED, SUBSCRIBED, SERVICES)]
             until(lambda e=expected, n=node: names_of(n)[2] >= e[2], f'services of {node}')
             if not link:
                 expected[0].discard('/diagnostics')     # which has a status for each link
-            self.assertEqual([names - {f'{node}/{name[1:]}' if name[0] == '~' else f'/{name}'
-                                       for name in OF_ROS} for names in names_of(node)], expected)
+            of_ros = {resolved(name, node) for name in OF_ROS}
+            self.assertEqual([names - of_ros for names in names_of(node)], expected)
             self.assertTrue(bridge.alive)
         self.assertEqual(service('/only_bus/lift', Lift)(0, 1).status, NOT_SENT)
         statuses = {link: Diagnostics(f'only_{link}') for link in KINDS}
@@ -408,7 +408,7 @@ class Launch(BoardsTest):
         for link in KINDS:
             for name, kind in PUBLISHED[link].items():
                 if name != 'mcu/adc_status':
-                    topic = Topic(f'{NODE}/{name[1:]}' if name[0] == '~' else f'/{name}', kind)
+                    topic = Topic(resolved(name), kind)
                     topic.first()
                     topic.close()
         for name, kind, arguments in (
