@@ -53,7 +53,7 @@ class Bridge(Process):
 
     def __init__(self, name=PACKAGE, parameters=None, arguments=(), stdout=None, master=None,
                  **environment):
-        self.name, master = name, master or rosgraph.get_master_uri()
+        master = master or rosgraph.get_master_uri()
         server = rosgraph.Master('/' + name, master)
         if server.hasParam('/' + name):
             server.deleteParam('/' + name)

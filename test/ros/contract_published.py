@@ -146,8 +146,8 @@ class Published(Contract):
                                 doing=lambda p=packet: self.car.write(p))
             self.assert_values(values_of(message.angular_velocity, *XYZW[:3]), rate)
             self.assert_values(values_of(message.linear_acceleration, *XYZW[:3]), acceleration)
-            found = self.stamped(temperature, message.header.stamp)
-            self.assertAlmostEqual(found.temperature, warm)
+            self.stamped(temperature, message.header.stamp,
+                         lambda m, w=warm: abs(m.temperature - w) < 1e-6)
         for matrix, diagonal in ((message.linear_acceleration_covariance, (0.01, 0.01, 0.01)),
                                  (message.angular_velocity_covariance, (0.04, 0.04, 0.04)),
                                  (message.orientation_covariance, (0.09, 0.09, 0.16))):
