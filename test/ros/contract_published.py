@@ -174,6 +174,9 @@ class Published(Contract):
         self.assertEqual(values_of(message, *GOT), (True, True, 156, 47, 58))
         self.assert_values(values_of(message, 'yaw', 'pitch', 'roll'), (0.0, -2.43, 2.43), 5)
         self.assertTrue(0.0 <= message.last_frame_age_sec < 1.0)
+        damaged = bytes((*SENSOR_FRAME[:-2], 0, 3))
+        count = message.crc_error_count
+        status.first(lambda m: m.crc_error_count > count, doing=lambda: self.sensors.write(damaged))
         message = adc.first(lambda m: m.seq == 234, doing=lambda: self.sensors.write(ADC_FRAME))
         self.assertEqual(values_of(message, 'connected', 'valid'), (True, True))
         self.assertEqual(values_of(message, *(f'adc{channel}' for channel in range(6))),

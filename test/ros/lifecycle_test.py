@@ -25,7 +25,7 @@ from boards import (NODE, NOT_SENT, PACKAGE, SPEED_0_PACKET, SYNC_FRAME, TIMEOUT
                     BoardsTest, Bridge, BusBoard, CarBoard, Diagnostics, Line, Master, Process,
                     SensorBoard, Topic, again_if_stalled, command_topic, names_of, service, settle,
                     until, wait_for_launch)
-from by_definition import announcement, arduino_packet
+from by_definition import ENVIRONMENT, announcement, arduino_packet
 from contract_published import OF_ROS, PUBLISHED, SERVICES, SUBSCRIBED
 from contract_robot import resolved
 from publishers import FakePublisher
@@ -75,8 +75,9 @@ class Start(BoardsTest):
         bridges = {}
         for link in (*KINDS, ''):
             self.lines[link] = Line(os.path.join(self.folder, link))
-            ports = {f'{link}/port': self.lines[link].near} if link else {}
-            bridges[link] = self.start(Bridge, f'only_{link}', ports)
+            given = {f'{link}/port': self.lines[link].near} if link else {}
+            bridges[link] = self.start(Bridge, f'only_{link}', {
+                **given, 'bus/environment_period': 0.0})
         for link, bridge in bridges.items():
             node, links = f'/only_{link}', ('', link) if link else ('',)
             expected = [{resolved(name, node) for each in links for name in table.get(each, ())}
@@ -89,17 +90,20 @@ class Start(BoardsTest):
             self.assertTrue(bridge.alive)
         self.assertEqual(service('/only_bus/lift', Lift)(0, 1).status, NOT_SENT)
         statuses = {link: Diagnostics(f'only_{link}') for link in KINDS}
+        boards = {}
         for condition in 'closed', 'open':
             for link, kind in KINDS.items():
                 if condition == 'open':
                     self.lines[link].plug()
                     self.addCleanup(self.lines[link].unplug)
-                    board = kind(self.lines[link].far)
-                    self.addCleanup(board.close)
+                    boards[link] = kind(self.lines[link].far)
+                    self.addCleanup(boards[link].close)
                 statuses[link].wait_for(link, lambda status, c=condition: (
                     status.keys['condition'] == 'closed') == (c == 'closed')
                     and status.keys['reconnects'] == '0', condition)
         until(lambda: service('/only_bus/lift', Lift)(0, 1).success, 'the lift answers')
+        self.assertEqual(boards['bus'].asked(ENVIRONMENT), [], 'a period of 0 is never')
+        self.assertEqual(boards['bus'].asked(0xFF), [], 'no board is asked what it announces')
 
     def test_a_mistake_ends_the_node_with_one_line(self):
         def ended(name):
@@ -136,17 +140,21 @@ class Start(BoardsTest):
         self.assertEqual(car.speeds, [])
 
     def test_commands_latched_before_the_start_are_refused_and_an_age_of_0_takes_any_stamp(self):
+        """Of the same bridge: what its car announces is ignored, as the parameter says."""
         old = FakePublisher('/old', f'{NODE}/speed', SpeedPWMCommand, latching=True,
                             latched=SpeedPWMCommand(value=500))
         self.addCleanup(old.close)
-        car = self.plug('arduino', CarBoard)
-        self.start(Bridge, parameters={**self.ports(), 'arduino/command_age': 0.0})
+        car = self.plug('arduino', CarBoard, announcement=ROWS)
+        self.start(Bridge, parameters={**self.ports(), 'arduino/command_age': 0.0,
+                                       'arduino/announcements': False})
         for value, stamp in (501, 1.0), (502, 4e9):
             command = SpeedPWMCommand(value=value)
             command.header.stamp = rospy.Time.from_sec(stamp)
             until(lambda v=value: v in car.speeds, f'speed {value}', every=0.1,
                   doing=lambda c=command: old.say(c))
         self.assertNotIn(500, car.speeds)
+        car.wait_for_heartbeats(100)
+        self.assertNotIn(NODE + '/force', names_of()[0])
 
 
 class NewMaster(BoardsTest):
