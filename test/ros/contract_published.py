@@ -158,7 +158,7 @@ class Published(Contract):
         topics = [self.topic(f'~environment{name}', kind) for name, kind in (
             ('', Environment), ('/temperature', Temperature), ('/humidity', RelativeHumidity))]
         self.addCleanup(setattr, self.bus, 'air', self.bus.air)
-        for air in bus.Environment(65535, -12.5, 48.12), bus.Environment(350, 25.63, 100.0):
+        for air in bus.Environment(65535, -12.5, 48.12), bus.Environment(351, 25.63, 100.0):
             self.bus.air = air
             message = topics[0].first(lambda m, a=air: m.smoke == a.smoke)
             self.assert_values((message.temperature, message.humidity), air[1:], 5)

@@ -77,8 +77,8 @@ class Robot:
             self.parameters.setdefault(link, {})['port'] = line.near
         self.bridge = Bridge(parameters=self.parameters, PYTHONPATH=self.python_path)
         atexit.register(self.bridge.kill)
-        until(lambda: resolved('~well') in names_of()[0], 'the bridge is complete, and the bus '
-              'board announces')
+        until(lambda: resolved('~stop') in names_of()[2], 'the bridge is complete')
+        until(lambda: resolved('~well') in names_of()[0], 'the bus board announces')
         until(self.car.heartbeats, 'a heartbeat')
 
     def start_bus(self, announcement=FIRMWARE + PUMP + TANK):
