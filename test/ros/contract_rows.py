@@ -275,12 +275,14 @@ class Announced(Contract):
         self.diagnostics.wait_for('arduino', lambda s: s.keys['announced'] == '', 'no row')
 
     def test_a_row_that_may_not_be_is_left_out_and_the_others_stand(self):
-        """One has the name of a parameter's row, one of another link's, one a wrong key."""
+        """One has the name of a parameter's row, one its type, one the name of another link's row,
+        one a wrong key."""
+        wrong = 'force', 'newton', 'valve', 'horn'
         self.announce(FORCE + FORCE.replace('torque', 'force').replace('50', '53')
-                      + LEVEL.replace('depth', 'valve') + HORN.replace('layout', 'lay'),
-                      more=['force', 'valve', 'horn'])
+                      + FORCE.replace('torque', 'newton').replace('50', '32')
+                      + LEVEL.replace('depth', 'valve') + HORN.replace('layout', 'lay'), more=wrong)
         self.assertIn(resolved('~torque'), names_of()[0])
-        for name in 'force', 'valve', 'horn':
+        for name in wrong:
             self.rosout.wait_for(name)
 
     def test_functions_of_a_bus_board_appear_change_and_go(self):
