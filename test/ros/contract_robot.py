@@ -77,7 +77,9 @@ class Robot:
             self.parameters.setdefault(link, {})['port'] = line.near
         self.bridge = Bridge(parameters=self.parameters, PYTHONPATH=self.python_path)
         atexit.register(self.bridge.kill)
-        until(lambda: resolved('~stop') in names_of()[2], 'the bridge is complete')
+        until(lambda: resolved('~stop') in names_of()[2] or not self.bridge.alive,
+              'the bridge is complete')
+        assert self.bridge.alive, self.bridge.output()
         until(lambda: resolved('~well') in names_of()[0], 'the bus board announces')
         until(self.car.heartbeats, 'a heartbeat')
 

@@ -141,12 +141,13 @@ class Start(BoardsTest):
 
     def test_commands_latched_before_the_start_are_refused_and_an_age_of_0_takes_any_stamp(self):
         """Of the same bridge: what its car announces is ignored, as the parameter says."""
-        old = FakePublisher('/old', f'{NODE}/speed', SpeedPWMCommand, latching=True,
-                            latched=SpeedPWMCommand(value=500))
+        old = FakePublisher('/old', f'{NODE}/speed', SpeedPWMCommand, latching=True)
         self.addCleanup(old.close)
         car = self.plug('arduino', CarBoard, announcement=ROWS)
         self.start(Bridge, parameters={**self.ports(), 'arduino/command_age': 0.0,
                                        'arduino/announcements': False})
+        car.wait_for_heartbeats(10)
+        old.say(SpeedPWMCommand(value=500))     # the first message on the connection
         for value, stamp in (501, 1.0), (502, 4e9):
             command = SpeedPWMCommand(value=value)
             command.header.stamp = rospy.Time.from_sec(stamp)
