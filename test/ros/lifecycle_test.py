@@ -100,7 +100,7 @@ class Start(BoardsTest):
                     self.addCleanup(boards[link].close)
                 statuses[link].wait_for(link, lambda status, c=condition: (
                     status.keys['condition'] == 'closed') == (c == 'closed')
-                    and status.keys['reconnects'] == '0', condition)
+                    and status.keys['reconnects'] == '0', condition, is_fresh=False)
         until(lambda: service('/only_bus/lift', Lift)(0, 1).success, 'the lift answers')
         self.assertEqual(boards['bus'].asked(ENVIRONMENT), [], 'a period of 0 is never')
         self.assertEqual(boards['bus'].asked(0xFF), [], 'no board is asked what it announces')

@@ -10,7 +10,7 @@ import pytest
 from lines import ROOT
 from waiting import PATIENCE, until
 
-from fake_bus import lift
+from bus_moves import lift
 from serial_communication.boards.bus import wire as bus
 from links import BusLink
 from serial_communication.boards.bus.simulator import ControlBoard

@@ -1,6 +1,4 @@
 """Helpers for tests of decoders: the protocols, and all ways in which a stream may be read."""
-import json
-import os
 import random
 from collections import Counter
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tuple
@@ -44,19 +42,6 @@ ALL = CHECKSUMMED + (ARDUINO, ARDUINO_CHECKED, BOARD_ARDUINO)
 def name_of(kind: DecoderKind) -> str:
     """For pytest's ids."""
     return kind.name
-
-
-def vectors(protocol: str) -> Dict[str, List[dict]]:
-    """The byte-exact examples of one protocol."""
-    path = os.path.join(os.path.dirname(__file__), '..', 'boards', 'vectors',
-                        protocol + '.json')
-    with open(path, encoding='utf-8') as file:
-        return json.load(file)
-
-
-def hexed(text: str) -> bytes:
-    """Bytes from the vectors' notation."""
-    return bytes.fromhex(text)
 
 
 def random_chunks(stream: bytes, seed: int) -> List[bytes]:
