@@ -8,18 +8,17 @@ from contextlib import contextmanager
 
 import rospy
 from geometry_msgs.msg import Twist, Vector3
-from sensor_msgs.msg import RelativeHumidity, Temperature
 from std_msgs.msg import Bool, String
 from std_srvs.srv import Empty, SetBool, Trigger
 
-from boards import (AIR, NODE, NOT_SENT, PACKAGE, SPEED_0_PACKET, SYNC_FRAME, TIMEOUT, WARN,
+from boards import (NODE, NOT_SENT, PACKAGE, SPEED_0_PACKET, SYNC_FRAME, TIMEOUT, WARN,
                     Waiter, settle, until)
 from by_definition import CALIBRATION, LED, SPEED, STEERING, arduino_packet, bus_frame
 from contract_robot import Contract, pack
 from publishers import FakePublisher
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
-from serial_communication.msg import Environment, SpeedPWMCommand, SteeringPWMCommand
+from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, GimbalRequest, Lift,
                                       LiftRequest)
 
@@ -182,16 +181,6 @@ class Services(Contract):
         answer = self.answered(self.request, 0x55, 0x36, b'', cmd2=0x36,
                                reply=bus.Reply(bus.OK, b'\1\2\3'))
         self.assertEqual(answer.data, b'\1\2\3')
-
-    def test_a_fresh_reading_has_its_values_and_is_published(self):
-        topics = [self.topic(f'~environment{name}', kind) for name, kind in (
-            ('', Environment), ('/temperature', Temperature), ('/humidity', RelativeHumidity))]
-        answer = self.answered(self.environment)
-        reading = answer.environment
-        self.assertEqual(reading.smoke, AIR.smoke)
-        self.assert_values((reading.temperature, reading.humidity), AIR[1:], 5)
-        for topic in topics:
-            topic.first(lambda m: m.header.stamp == reading.header.stamp)
 
     def test_echo_tells_the_milliseconds_and_sync_synchronises(self):
         echo, sync = self.service('~bus/echo', Trigger), self.service('~bus/sync', Trigger)

@@ -154,16 +154,18 @@ class Published(Contract):
             self.assert_values(matrix[::4], diagonal)
             self.assertEqual([matrix[index] for index in (1, 2, 3, 5, 6, 7)], [0.0] * 6)
 
-    def test_readings_of_the_environment_have_the_units_of_each_topic(self):
+    def test_a_fresh_reading_is_published_in_the_units_of_each_topic(self):
         topics = [self.topic(f'~environment{name}', kind) for name, kind in (
             ('', Environment), ('/temperature', Temperature), ('/humidity', RelativeHumidity))]
         self.addCleanup(setattr, self.bus, 'air', self.bus.air)
         for air in bus.Environment(65535, -12.5, 48.12), bus.Environment(351, 25.63, 100.0):
             self.bus.air = air
-            message = topics[0].first(lambda m, a=air: m.smoke == a.smoke)
-            self.assert_values((message.temperature, message.humidity), air[1:], 5)
-            temperature, humidity = (self.stamped(topic, message.header.stamp)
-                                     for topic in topics[1:])
+            answer = self.answered(self.service('~get_environment', GetEnvironment))
+            stamp = answer.environment.header.stamp
+            message, temperature, humidity = (self.stamped(topic, stamp) for topic in topics)
+            for reading in answer.environment, message:
+                self.assertEqual(reading.smoke, air.smoke)
+                self.assert_values((reading.temperature, reading.humidity), air[1:], 5)
             self.assertAlmostEqual(temperature.temperature, air.temperature, 5)
             self.assertAlmostEqual(humidity.relative_humidity, air.humidity / 100, 6)
 
@@ -246,47 +248,49 @@ class Published(Contract):
 class BoardTime(Contract):
     """Boards that send their clocks: stamps are of the measurement."""
 
+    LATE_IMU = arduino.Imu(0, 0, 0, 16384, 0, 0, 0, 0, 0, 8192, -12420)     # turned by 180°, 0 °C
+    # What is sent late has other values than what is sent in time.
+    LATE = (
+        ('~imu', Imu, lambda m: m.orientation.z == 1),
+        ('~imu/temperature', Temperature, lambda m: abs(m.temperature) < 0.01),
+        ('~ticks', Ticks, lambda m: m.value == 231), ('~voltage', Voltage, lambda m: m.value == 13),
+        ('~steering_angle', SteeringFeedback, lambda m: m.value == 777),
+        ('~timed', MagneticField, lambda m: m.magnetic_field.x == 7),
+        ('mcu/imu', Imu, lambda m: m.orientation.z > 0.9999),
+        ('mcu/range_1', Range, lambda m: abs(m.range - 1.234) < 1e-6),
+        ('mcu/range_2', Range, lambda m: abs(m.range - 2.345) < 1e-6),
+        ('mcu/status', McuStatus2, lambda m: m.vl53_1 == 1234),
+        *(('tf', TFMessage, lambda m, child=child: m.transforms[0].transform.rotation.z > 0.9999
+           and m.transforms[0].child_frame_id == f'robot/{child}')
+          for child in ('car_attitude', 'head_attitude')))
+
+    def say(self, measured, car, field, sensors):
+        """The boards send what they have measured at this time."""
+        micros = round(measured * 1e6) % 2 ** 32
+        self.car.say(arduino.Time(micros, len(car)), *car)
+        self.car.write(arduino.encode_raw(213, pack('Ih', micros, field)))
+        self.sensors.say(mcu.Time(micros), sensors)
+
     def test_all_topics_have_the_stamp_of_the_measurement(self):
-        """The boards send what they have just measured, and what they measured 0.5 s ago."""
-        car = {name: self.topic(f'~{name}', kind) for name, kind in (
-            ('imu', Imu), ('imu/temperature', Temperature), ('ticks', Ticks), ('voltage', Voltage),
-            ('steering_angle', SteeringFeedback), ('timed', MagneticField))}
-        sensors = {name: self.topic(f'mcu/{name}', kind) for name, kind in (
-            ('imu', Imu), ('range_1', Range), ('range_2', Range), ('status', McuStatus2))}
-        tf = self.topic('tf', TFMessage)
+        """The boards send what they have just measured, and then what they measured 0.5 s ago."""
+        topics = [(self.topic(name, kind), is_late) for name, kind, is_late in self.LATE]
 
-        def say(measured):
-            micros = round(measured * 1e6) % 2 ** 32
-            self.car.say(arduino.Time(micros, 4), level_imu(), arduino.Ticks(1),
-                         arduino.Voltage(12.0), arduino.SteeringAngle(500))
-            self.car.write(arduino.encode_raw(213, pack('Ih', micros, 5)))
-            self.sensors.say(mcu.Time(micros), ranges())
-
-        def late():
-            """Send what was measured 0.5 s ago; return when that was, by ROS's clock."""
-            measured, at = time.monotonic(), rospy.Time.now().to_sec()
+        def stamped():
+            """Whether all that was sent late has the time when it was measured."""
             for _ in range(5):
-                say(time.monotonic())
-                time.sleep(0.1)
-            say(measured)
-            return at
-
-        def has(topics, child, at):
-            """Whether all of these have a stamp that is nearer to this time than to now."""
-            turned = {t.header.stamp for m in list(tf.messages) for t in m.transforms
-                      if t.child_frame_id == f'robot/{child}'}
-            common = turned.intersection(*(
-                {m.header.stamp if m._has_header else m.stamp for m in list(topic.messages)}
-                for topic in topics.values()))
-            return any(abs(stamp.to_sec() - at) < 0.05 for stamp in common)
-
-        def measured():
-            for topic in (tf, *car.values(), *sensors.values()):
+                self.say(time.monotonic(), [level_imu()], 5, ranges())
+                time.sleep(0.05)
+            measured, at = time.monotonic(), rospy.Time.now().to_sec()
+            time.sleep(0.5)
+            self.say(measured, [self.LATE_IMU, arduino.Ticks(231), arduino.Voltage(13),
+                                arduino.SteeringAngle(777)], 7, ranges(1234, 2345, 180))
+            late = [topic.first(is_late) for topic, is_late in topics]
+            for topic, _ in topics:
                 topic.forget()
-            at = late()
-            time.sleep(0.1)
-            return has(car, 'car_attitude', at) and has(sensors, 'head_attitude', at)
-        until(measured, 'stamps of 0.5 s before')
+            stamps = [m.transforms[0].header.stamp if hasattr(m, 'transforms') else
+                      m.header.stamp if m._has_header else m.stamp for m in late]
+            return all(abs(stamp.to_sec() - at) < 0.1 for stamp in stamps)
+        until(stamped, 'stamps of 0.5 s before')
         keys = self.diagnostics.wait_for('arduino', lambda status: True, 'keys').keys
         self.assertLessEqual({'board clock [ppm]', 'read delay p50 [ms]', 'read delay max [ms]'},
                              set(keys))
