@@ -13,5 +13,5 @@ def test_the_first_line_names_the_systems_python():
     programs = python_programs() + tests
     assert [name(path) for path in programs
             if path.read_text().split('\n', 1)[0] != '#!/usr/bin/python3'] == []
-    assert {'serial_communication_node', 'simulator', 'monitor', 'bus_test.py'} <= {
+    assert {'serial_communication_node', 'simulator', 'monitor', 'contract_test.py'} <= {
         path.name for path in programs}
