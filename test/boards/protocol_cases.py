@@ -1,8 +1,8 @@
 """Helpers for tests of decoders: the protocols, and all ways in which a stream may be read."""
 import random
-from collections import Counter
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tuple
 
+from decoding import errors_of
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
@@ -116,11 +116,6 @@ def check_reported(stream: bytes, frames: Sequence[Frame]) -> None:
         assert bool(frame.cause) == bool(frame.error)
         if frame.cause:
             assert frame.message is None
-
-
-def errors_of(frames: Iterable[Frame]) -> Dict[str, int]:
-    """How many errors of each cause there are."""
-    return Counter(frame.cause for frame in frames if frame.cause)
 
 
 def total(errors: Dict[str, int]) -> int:

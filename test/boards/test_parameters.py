@@ -1,6 +1,5 @@
 """The parameters of the node and the boards: config/bridge.yaml, which documents them, and what is
 refused in one line. Needs ROS, but no master."""
-import sys
 from math import pi, radians
 from pathlib import Path
 
@@ -8,10 +7,14 @@ import pytest
 import yaml
 
 pytest.importorskip('rospy')
+from serial_communication.boards import descriptions  # noqa: E402
+from serial_communication.framing.rows import RowError  # noqa: E402
 from serial_communication.ros.parameters import (  # noqa: E402
-    BUILT_IN, ParameterError, check, resolved_names, table)
+    NODE_PARAMETERS, NameTaken, check, parameters_of, resolved_names)
 
-PARAMETERS = table(BUILT_IN)
+PARAMETERS = {**NODE_PARAMETERS, **{
+    f'{board.name}/{name}': parameter for board in descriptions()
+    for name, parameter in parameters_of(board.binder).items()}}
 GIVEN = yaml.safe_load((Path(__file__).parents[2] / 'config' / 'bridge.yaml').read_text())
 DEFAULTS = {
     'bus/environment_period': 1.0, 'bus/environment_datelen': 2, 'bus/reply_has_cmd2': False,
@@ -51,8 +54,8 @@ def given(name, value):
 
 def refusal(tree):
     """The line that says why a parameter is refused."""
-    with pytest.raises(ParameterError) as caught:
-        check(tree, '/node')
+    with pytest.raises(RowError) as caught:
+        check(tree)
     text = str(caught.value)
     assert '\n' not in text
     return text
@@ -68,8 +71,9 @@ def test_the_file_has_every_parameter_with_its_default_except_for_the_ports():
         else:
             assert value == (pytest.approx(default) if isinstance(default, float) else default)
             assert isinstance(value, bool) == isinstance(default, bool)
-    values, warnings = check(GIVEN, '/node')
-    assert warnings == [] and values['bus/port'] == GIVEN['bus']['port']
+    _node, boards, unknown = check(GIVEN)
+    assert not unknown and [values['port'] for values in boards.values()] == [
+        GIVEN[link]['port'] for link in ('bus', 'arduino', 'mcu')]
 
 
 def test_the_defaults_are_those_of_the_contract():
@@ -81,7 +85,7 @@ def test_every_parameter_refuses_the_wrong_type_and_values_outside_its_range(nam
     parameter = PARAMETERS[name]
     wrong = {'a': {}} if isinstance(parameter.default, list) else [1]
     text = refusal(given(name, wrong))
-    assert f'/node/{name} is {wrong!r}' in text and 'may be ' in text
+    assert f'{name} is {wrong!r}' in text and 'may be ' in text
     if type(parameter.default) in (int, float) and not parameter.choices:
         step = type(parameter.default)(1)
         for value in parameter.low - step, parameter.high + step:
@@ -89,9 +93,9 @@ def test_every_parameter_refuses_the_wrong_type_and_values_outside_its_range(nam
 
 
 def test_a_whole_number_is_accepted_for_a_float_and_an_unknown_name_is_warned_of():
-    values, warnings = check({'bus': {'reply_timeout': 2, 'replytimeout': 1}}, '/node')
-    assert repr(values['bus/reply_timeout']) == '2.0'
-    assert ['/node/bus/replytimeout' in each for each in warnings] == [True]
+    _node, boards, unknown = check({'bus': {'reply_timeout': 2, 'replytimeout': 1}})
+    assert repr(next(iter(boards.values()))['reply_timeout']) == '2.0'
+    assert unknown == ['bus/replytimeout']
 
 
 def test_two_links_with_the_same_port_are_refused(tmp_path):
@@ -100,9 +104,9 @@ def test_two_links_with_the_same_port_are_refused(tmp_path):
     for one, other in (('/dev/null', '/dev/null'), ('/dev/null', str(link)),
                        ('socket://a:1', 'SOCKET://A:1')):
         text = refusal({'bus': {'port': one}, 'mcu': {'port': other, 'baud': 9600}})
-        assert f'/node/mcu/port is {other!r}' in text and '/node/bus/port' in text
+        assert f'mcu/port is {other!r}' in text and 'bus' in text
     loop = {'port': 'loop://'}
-    check({'bus': loop, 'mcu': loop, 'arduino': {'port': ''}}, '/node')
+    check({'bus': loop, 'mcu': loop, 'arduino': {'port': ''}})
 
 
 def test_a_board_of_another_package_has_parameters_and_what_its_import_raises_passes(
@@ -113,14 +117,14 @@ def test_a_board_of_another_package_has_parameters_and_what_its_import_raises_pa
         (tmp_path / name / '__init__.py').write_text(DESCRIPTION)
         (tmp_path / name / 'ros.py').write_text(code)
     with pytest.raises(ZeroDivisionError):
-        check({'boards': ['fails']}, '/node')
+        check({'boards': ['fails']})
     with pytest.raises(ImportError):
-        check({'boards': ['no.such']}, '/node')
+        check({'boards': ['no.such']})
     for boards in ['x', 5], {'a': 'b'}, 'x', [['x']]:
         assert 'may be a list' in refusal({'boards': boards})
-    values, warnings = check({'boards': ['wind_board'], 'wind': {'baud': 9600}}, '/node')
-    assert (values['boards'][-1].NAME, values['wind/baud'], warnings) == ('wind', 9600, [])
-    assert sys.modules['wind_board.ros']
+    _node, boards, unknown = check({'boards': ['wind_board'], 'wind': {'baud': 9600, 'own': 1}})
+    binder, values = boards.popitem()
+    assert (binder.BOARD.name, values['baud'], unknown) == ('wind', 9600, ['wind/own'])
 
 
 DESCRIPTION = """
@@ -128,13 +132,12 @@ from serial_communication.boards.description import Description
 DESCRIPTION = Description('wind', __name__, None)
 """
 BOARD = """
-from serial_communication.ros.interface import Interface
-from serial_communication.ros.parameter import PORT, Parameter
+from serial_communication.ros.binder import Binder
+from . import DESCRIPTION
 
 
-class INTERFACE(Interface):
-    NAME = 'wind'
-    PARAMETERS = {'port': PORT, 'baud': Parameter(115200)}
+class BoardBinder(Binder):
+    BOARD = DESCRIPTION
 """
 
 
@@ -162,7 +165,7 @@ class INTERFACE(Interface):
         ({'orientation.yaw': 1.0}, '')))])
 def test_a_mistake_in_a_message_is_named(changes, key):
     text = refusal({'arduino': {'messages': {'force': {**FORCE, **changes}}}})
-    assert text.startswith(f'parameter /node/arduino/messages/force/{key} is ')
+    assert text.startswith(f'arduino/messages/force/{key} is ')
 
 
 @pytest.mark.parametrize('changes, key', [
@@ -173,26 +176,26 @@ def test_a_mistake_in_a_message_is_named(changes, key):
     ({'reply': {'layout': '<?', 'fields': ['data']}}, 'reply/fields')])
 def test_a_mistake_in_a_function_is_named(changes, key):
     text = refusal({'bus': {'functions': {'pump': {**PUMP, **changes}}}})
-    assert text.startswith(f'parameter /node/bus/functions/pump/{key} is ')
+    assert text.startswith(f'bus/functions/pump/{key} is ')
 
 
 def test_constants_that_the_type_can_hold_are_taken():
     check({'arduino': {'messages': {'pack': dict(BATTERY, constants={
-        'charge': float('nan'), 'cell_voltage[1]': 4, 'power_supply_status': 255})}}}, '/node')
+        'charge': float('nan'), 'cell_voltage[1]': 4, 'power_supply_status': 255})}}})
 
 
 def test_names_that_are_taken_are_refused():
     def clash(tree):
         tree = {board: {'port': f'/dev/{board}', **tree.get(board, {})}
                 for board in ('bus', 'arduino', 'mcu')}
-        resolved_names(check(tree, '/node')[0], tree)
+        resolved_names(check(tree)[1])
     for name, tree in (('voltage', {'arduino': {'messages': {'voltage': FORCE}}}),
                        ('lift', {'arduino': {'messages': {'lift': FORCE}}}),
                        ('range_1', {'mcu': {'messages': {'range_1': FORCE}}}),
                        ('gimbal', {'bus': {'functions': {'gimbal': PUMP}}}),
                        ('both', {'arduino': {'messages': {'both': FORCE}},
                                  'bus': {'functions': {'both': PUMP}}})):
-        with pytest.raises(ParameterError, match=f'/{name} is the name of .* and of '):
+        with pytest.raises(NameTaken, match=f'/{name} is the name of .* and of '):
             clash(tree)
     # These differ: mcu/imu is not ~imu, and a topic may have the name of a parameter.
     clash({'arduino': {'messages': {'status': FORCE, 'port': dict(FORCE, type=33)}},

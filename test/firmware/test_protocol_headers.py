@@ -7,7 +7,7 @@ import subprocess
 import pytest
 from board_ends import request
 from by_definition import bus_frame, cobs_encode, xor_of
-from vectors import hexed, vectors
+from decoding import hexed, vectors
 
 VECTORS = {name: vectors(file) for name, file in (
     ('cobs', 'cobs'), ('arduino', 'arduino'), ('bus', 'robot_ctrl_bus'), ('mcu', 'mcu'))}

@@ -47,7 +47,7 @@ MISTAKES = {
     'row': ({'arduino/messages': {'force': FORCE}}, [], [
         "parameter NODE/arduino/messages/force/ros_type is 'std_msgs/Flot32'"]),
     'same_port': ({'bus/port': '/dev/null', 'mcu/port': '/dev/../dev/null'}, [], [
-        "parameter NODE/mcu/port is '/dev/../dev/null'", 'NODE/bus/port']),
+        "parameter NODE/mcu/port is '/dev/../dev/null'", 'bus']),
     'remapped': ({'arduino/port': '/absent'}, ['~speed:=~steering'],
                  ['NODE/steering is the name of ']),
     'mcu': ({'arduino/port': '/absent', 'mcu/port': '/absent/mcu'}, [],

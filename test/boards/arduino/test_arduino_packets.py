@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from protocol_cases import (ARDUINO, ARDUINO_CHECKED, BOARD_ARDUINO, check_case, check_rejected,
                             decode, no_errors)
-from vectors import hexed, vectors
+from decoding import hexed, vectors
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.framing import cobs
 from serial_communication.framing.stream import FRAMING, IMPLAUSIBLE, LENGTH, OVERSIZE, UNKNOWN

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from bus_moves import gimbal, lift
 from protocol_cases import BOARD_BUS, BUS, BUS_CMD2, check_case, check_rejected, decode
-from vectors import hexed, vectors
+from decoding import hexed, vectors
 from serial_communication.boards.bus import DESCRIPTION, wire as bus
 from serial_communication.framing.rows import RowError
 from serial_communication.framing.stream import CHECKSUM, FRAMING

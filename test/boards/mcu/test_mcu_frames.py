@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol_cases import MCU, check_case, check_rejected, decode, no_errors
-from vectors import hexed, vectors
+from decoding import hexed, vectors
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.stream import CHECKSUM, FRAMING, UNKNOWN
 
