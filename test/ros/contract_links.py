@@ -48,7 +48,7 @@ class Traffic(Contract):
                 (lambda: speed.publish(value=400), 'arduino', TX, 4, 0, b'\x90\1',
                  bytes.fromhex('0404900100'), 'speed 400'),
                 (lambda: self.car.say(arduino.LOGS[2]('hot')), 'arduino', RX, 2, 0, b'hot\0',
-                 arduino_packet(2, b'hot\0'), 'WARN: hot'),
+                 arduino_packet(2, b'hot\0'), 'hot'),
                 (lambda: self.car.write(arduino_packet(32, pack('h', 250))), 'arduino', RX, 32, 0,
                  pack('h', 250), arduino_packet(32, pack('h', 250)), 'force data=2.5'),
                 (lambda: self.car.write(arduino_packet(34, b'\5\0\6\0')), 'arduino', RX, 34, 0,
@@ -67,7 +67,7 @@ class Traffic(Contract):
                 self.assertEqual((found.type, found.command, bytes(found.data)),
                                  (type_, command, data))
             self.assertEqual((found.direction, found.error), (direction, ''))
-            self.assertIn(text.split()[0], found.text)
+            self.assertRegex(found.text, r'\A.*\b' + re.escape(text) + r'.*\Z')
             self.assertTrue(doing is None or began <= found.header.stamp <= rospy.Time.now())
         found = frames.first(lambda m: bytes(m.frame) == bad, doing=lambda: self.sensors.write(bad))
         self.assertTrue(found.error.startswith('checksum'), found.error)
