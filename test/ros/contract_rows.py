@@ -18,7 +18,6 @@ from by_definition import announcement, arduino_packet
 from contract_robot import FIRMWARE, Contract, pack, resolved
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
-from serial_communication.framing.rows import SettingMessage
 from serial_communication.msg import SerialMsg, Ticks
 from serial_communication.srv import Lift
 
@@ -340,8 +339,8 @@ class Settings(Contract):
     def test_a_set_returns_what_the_board_confirmed(self):
         values = self.set(kp=2.25, reverse=True)
         self.assertEqual((values.kp, values.reverse, values.ramp), (2.25, True, 250))
-        self.assertLessEqual({(1, 2.25), (3, True)}, set(map(tuple, self.car.messages(
-            SettingMessage))))
+        for data in pack('Bf', 1, 2.25), b'\3\1':
+            self.assertIn(arduino_packet(253, data), self.car.wire)
         until(lambda: rospy.get_param(self.name + '/kp', None) == 2.25, 'the parameter')
         self.assertEqual(self.set(kp=9.0).kp, 5.0, 'the limit of the board')
         self.assertEqual(self.set(ramp=5000).ramp, 1000, 'the limit of the row')
@@ -354,7 +353,7 @@ class Settings(Contract):
             self.assertIn('kp=1.5', self.unconfirmed())
         self.diagnostics.wait_for('arduino', lambda s: s.keys['settings unconfirmed'] == '',
                                   'all confirmed')
-        self.assertIn((1, 1.5), set(map(tuple, self.car.messages(SettingMessage))))
+        self.assertIn(arduino_packet(253, pack('Bf', 1, 1.5)), self.car.wire)
 
     def test_settings_come_and_go_with_an_announcement(self):
         before = set(self.client.get_configuration())
@@ -365,5 +364,5 @@ class Settings(Contract):
         self.until_published(lambda v: 'gain' in v, 'gain comes',
                              announce(GAIN.encode()))
         self.assertEqual(self.set(gain=8).gain, 8)
-        self.assertIn((7, 8), set(map(tuple, self.car.messages(SettingMessage))))
+        self.assertIn(arduino_packet(253, b'\7\x08'), self.car.wire)
         self.until_published(lambda v: set(v) == before, 'gain goes', announce(b'#'))

@@ -83,8 +83,6 @@ class Start(BoardsTest):
             expected = [{resolved(name, node) for each in links for name in table.get(each, ())}
                         for table in (PUBLISHED, SUBSCRIBED, SERVICES)]
             until(lambda e=expected, n=node: names_of(n)[2] >= e[2], f'services of {node}')
-            if not link:
-                expected[0].discard('/diagnostics')     # which has a status for each link
             of_ros = {resolved(name, node) for name in OF_ROS}
             self.assertEqual([names - of_ros for names in names_of(node)], expected)
             self.assertTrue(bridge.alive)
