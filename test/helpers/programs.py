@@ -57,10 +57,14 @@ class Process:
         """Its output so far, without colours."""
         return re.sub('\033\\[[0-9;]*m', '', self._output.text())
 
-    def wait_for(self, words, times=1):
-        """Wait until it has printed these words so often, and return the first line with them."""
-        until(lambda: self.output().count(words) >= times, f'it prints "{words}"', every=0.05)
-        return next(line for line in self.output().split('\n') if words in line)
+    def wait_for(self, words):
+        """Wait until it has printed these words, and return the first line with them."""
+        try:
+            until(lambda: words in self.output() or not self.alive, f'it prints "{words}"',
+                  every=0.05)
+            return next(line for line in self.output().split('\n') if words in line)
+        except (AssertionError, StopIteration):
+            raise AssertionError(f'it does not print "{words}", but: {self.output()}') from None
 
     def ended(self):
         """Wait until it ends by itself; return its exit status."""

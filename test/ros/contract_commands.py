@@ -16,7 +16,6 @@ from boards import (NODE, NOT_SENT, PACKAGE, SPEED_0_PACKET, SYNC_FRAME, TIMEOUT
 from by_definition import CALIBRATION, LED, SPEED, STEERING, arduino_packet, bus_frame
 from contract_robot import Contract, pack
 from publishers import FakePublisher
-from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import (BusRequest, GetEnvironment, Gimbal, GimbalRequest, Lift,
@@ -42,12 +41,14 @@ class Commands(Contract):
                 value=v))
             topic.unregister()
         led = self.command('~led', String)
-        for text in 'x' * 31, 'hé', 'x' * 30, 'left':
-            for _ in range(3):
-                led.publish(text)
-        self.until_on_the_wire(arduino_packet(LED, b'left\0'), lambda: led.publish('left'))
-        self.assertLessEqual({m.text for m in self.car.messages(arduino.LedCommand)},
-                             {'x' * 30, 'left'})
+        refused = 'x' * 31, 'hé'
+        for text in refused * 10:
+            led.publish(text)
+        for text in 'x' * 30, 'left':
+            self.until_on_the_wire(arduino_packet(LED, text.encode() + b'\0'),
+                                   lambda t=text: led.publish(t))
+        for text in refused:
+            self.assertNotIn(arduino_packet(LED, text.encode() + b'\0'), self.car.wire)
 
     def test_a_speed_that_is_not_renewed_ends_in_speed_0(self):
         speed = self.command('~speed', SpeedPWMCommand)

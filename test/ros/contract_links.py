@@ -169,9 +169,15 @@ class Lending(Contract):
         until(lambda: self.reconnects('arduino') > before, 'the port is opened again')
 
     def borrow(self):
-        """Start a program that borrows the port; return it, and the process that has it open."""
-        process = self.release('--', sys.executable, '-c', BORROW, '{port}')
-        process.wait_for('open')
+        """Start a program that borrows the port; return it, and the process that has it open.
+
+        It ends after a stall of this machine.
+        """
+        def borrows():
+            process = self.release('--', sys.executable, '-c', BORROW, '{port}')
+            until(lambda: '\n' in process.output(), 'it says something')
+            return process if process.output() == 'open\n' else print(process.output())
+        process = until(borrows, 'the port is lent')
         with open(f'/proc/{process.process.pid}/task/{process.process.pid}/children') as file:
             return process, int(file.read())
 
