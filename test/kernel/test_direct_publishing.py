@@ -53,7 +53,7 @@ def test_all_messages_arrive_in_order_and_no_write_waits(subscribe):
 
 def test_a_full_queue_drops_its_oldest_message_and_never_part_of_one(subscribe):
     connection, theirs = subscribe(2)
-    for message in BIG, *(b'%d' % number for number in range(10)):
+    for message in (BIG, *(b'%d' % number for number in range(10))):
         connection.write_data(message)
     assert read(theirs, len(BIG) + 2) == BIG + b'89'
 
