@@ -3,13 +3,10 @@
 cannot be written, simulated time, and the launch files."""
 import os
 import signal
-import tempfile
-import unittest
 from functools import partial
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
 
-import roslaunch
 import rosgraph
 import rosnode
 import rospy
@@ -322,58 +319,6 @@ class SimulatedTime(BoardsTest):
             until(lambda v=turn: v in car.speeds, 'the speed', every=0.05,
                   doing=lambda v=turn, t=now: say(v, t))
             self.assertFalse({30 + turn, 40 + turn} & set(car.speeds))
-
-
-class Arguments(unittest.TestCase):
-    """What a launch would set, without starting it."""
-
-    @staticmethod
-    def config(*arguments, path=None):
-        """The configuration of this launch."""
-        path = path or roslaunch.rlutil.resolve_launch_arguments([PACKAGE, 'bridge.launch'])[0]
-        return roslaunch.config.load_config_default([(path, list(arguments))], None)
-
-    def ports(self, *arguments, **options):
-        """The port of each link that this launch would set."""
-        given = self.config(*arguments, **options).params
-        return [given[f'/serial_communication/{link}/port'].value for link in KINDS]
-
-    def including(self, text):
-        """The path of a launch file with this text."""
-        file = tempfile.NamedTemporaryFile('w', suffix='.launch')
-        self.addCleanup(file.close)
-        file.write(f'<launch>{text}</launch>'.replace(
-            'BRIDGE', f'file="$(find {PACKAGE})/launch/bridge.launch"'))
-        file.flush()
-        return file.name
-
-    def test_where_an_argument_names_a_port_the_links_without_one_are_off(self):
-        for arguments, ports in (
-                ([], ['/dev/ttyS0', '/dev/ttyUSB0', '/dev/ttyUSB1']),
-                (['bus_port:=/dev/a'], ['/dev/a', '', '']),
-                (['bus_port:=/dev/a', 'arduino_port:=/dev/b'], ['/dev/a', '/dev/b', '']),
-                (['bus_port:=/dev/a', 'mcu_port:='], ['/dev/a', '', ''])):
-            self.assertEqual(self.ports(*arguments), ports, arguments)
-        for sim, ports in ('false', ['/dev/ttyS0', '/dev/ttyUSB0', '']), \
-                ('true', ['/x/bus', '/x/arduino', '']):
-            including = self.including(f"""<include BRIDGE> <arg name="mcu_port" value=""/>
-                <arg name="sim" value="{sim}"/> <arg name="sim_dir" value="/x"/> </include>""")
-            self.assertEqual(self.ports(path=including), ports, sim)
-
-    def test_sim_takes_true_false_or_avr_and_opens_no_real_port(self):
-        for sim in 'true', 'avr':
-            self.assertEqual(self.ports('sim:=' + sim, 'sim_dir:=/x', 'bus_port:=/dev/a'),
-                             ['/x/bus', '/x/arduino', '/x/mcu'], sim)
-        with self.assertRaisesRegex(roslaunch.RLException, 'sim_is_true_false_or_avr/maybe'):
-            self.config('sim:=maybe')
-
-    def test_several_bridges_under_one_master_have_ports_and_names_of_their_own(self):
-        config = self.config(path=self.including(''.join(
-            f"""<group ns="robot_{number}"> <include BRIDGE> <arg name="name" value="bridge"/>
-                <arg name="sim" value="true"/> </include></group>""" for number in range(3))))
-        ports = [each.value for name, each in config.params.items() if name.endswith('/port')]
-        nodes = [each.namespace + each.name for each in config.nodes]
-        self.assertEqual((len(set(ports)), len(set(nodes))), (9, 12))
 
 
 class Launch(BoardsTest):
