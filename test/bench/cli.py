@@ -9,7 +9,7 @@ from argparse import Namespace
 import psutil
 
 from serial_communication.output import prepare_output
-from processes import StageError
+from .processes import StageError
 from .report import judge, render
 from .sections import SECTIONS, Plan
 from .stage import BenchStage

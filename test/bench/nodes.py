@@ -26,9 +26,9 @@ from serial_communication.boards import BOARDS, description
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.msg import SteeringFeedback
 from serial_communication.srv import GetEnvironment
-from processes import NODE
 from .boards import imu_count
 from .child import serve, sleep_until
+from .processes import NODE
 from .tcpros import Counter
 
 POLLS = 200                # a second

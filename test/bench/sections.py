@@ -14,9 +14,9 @@ from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tu
 from rosgraph.names import resolve_name
 from tqdm import tqdm
 
-from processes import Child, StageError
 from serial_communication.boards import description
 from .nodes import topics_of_boards
+from .processes import Child, StageError
 from .report import (CPU, SCHEDSTAT, Figures, Results, best, gaps_in_queue, latencies,
                      percentile, stamp_errors)
 from .stage import BenchStage, Servant, Side

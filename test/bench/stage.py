@@ -10,9 +10,9 @@ import tty
 from pathlib import Path
 from typing import Any, Dict, List, NamedTuple, Optional, Sequence
 
-from processes import NODE, Child, Stage, StageError
 from serial_communication.boards import BOARDS
 from .boards import TURNS
+from .processes import NODE, Child, Stage, StageError
 
 ROOT = Path(__file__).resolve().parents[2]
 _ANSWER = 120.0   # s that an order may take

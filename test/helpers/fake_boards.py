@@ -1,187 +1,169 @@
-"""Boards for tests, which show all that they do and receive.
-
-They are much simpler than the simulated boards. A board runs in a thread from its construction
-until `close`, on a `Pty`, or on the tty with a path, which may vanish and return.
-"""
+"""The package's simulated boards at the far ends of lines, which also show what they receive, and
+send what a test wants beside their measurements."""
 import threading
-import time
-from functools import partial
+from collections import deque
 
-import waiting
-from fake_bus import FakeBus
-from lines import Tty
-
+from serial_communication.boards.arduino import simulator as arduino_simulator
 from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import simulator as bus_simulator
 from serial_communication.boards.bus import wire as bus
+from serial_communication.boards.mcu import simulator as mcu_simulator
 from serial_communication.boards.mcu import wire as mcu
+from serial_communication.simulation.board import Runner
+from serial_communication.transport.port import Port, PortBusy, PortError
+from waiting import until
 
-until = partial(waiting.until, every=0.002)
-_GIVE_UP = 0.3      # s after which a board drops an incomplete frame
-_QUIET = 0.4        # s after which a car that has talked sends an empty packet
+_QUIET = 0.4    # s between two empty packets of a car
+_BUILT_IN = bus.LIFT, bus.GIMBAL, bus.ANNOUNCEMENT.number
+AIR = bus.Environment(350, 25.63, 48.12)
 
 
-class Board:
-    """Decodes the received bytes, and calls `take` with each valid frame."""
+class Shown:
+    """Records what a simulated board receives. It runs in a thread from its construction until
+    `close`; its tty may vanish and return.
 
-    POLL = 0.05     # s between two calls of `idle` at most
+    Args:
+        path: of the tty.
+        options: of the simulated board.
+    """
 
-    def __init__(self, line, decoder):
-        self.line = Tty(line) if isinstance(line, str) else line
-        self._recording = threading.Lock()
+    def __init__(self, path, **options):
+        self._recording = threading.RLock()
         self.forget()
-        self._decoder = decoder
-        self._last_byte = 0.0
-        self._closing, self._paused, self._idle = (threading.Event() for _ in range(3))
-        self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
+        super().__init__(**options)
+        self._port = Port(path)
+        self._runner = Runner(self, self._port)
+        self._thread = threading.Thread(target=self._runner.run, name=self.NAME, daemon=True)
         self._thread.start()
 
     @property
     def connected(self):
-        """Whether the tty with the path is open."""
-        return self.line.connected
+        """Whether its tty is open."""
+        return self._port.is_open
 
     @property
     def raws(self):
         """The bytes of the valid frames."""
         return [frame.raw for frame in list(self.frames)]
 
-    def messages(self, kind=None):
+    def messages(self, kind=object):
         """The messages received so far."""
-        return [frame.message for frame in list(self.frames)
-                if kind is None or isinstance(frame.message, kind)]
+        return [frame.message for frame in list(self.frames) if isinstance(frame.message, kind)]
 
     def forget(self):
-        """Clear the records: all bytes, the valid frames and the invalid ones.
-
-        The frames are stamped with time.monotonic().
-        """
+        """Clear the records: all bytes, the valid frames and the invalid ones. The frames are
+        stamped with time.monotonic()."""
         with self._recording:
             self.wire, self.frames, self.bad = bytearray(), [], []
 
-    def take(self, frame):
-        """A valid frame was received; for subclasses."""
+    def receive(self, data, now):
+        with self._recording:       # all of one read is recorded, or forgotten
+            self.wire += data
+            super().receive(data, now)
 
-    def idle(self):
-        """Called after each read; for subclasses."""
+    def frame(self, frame, now):
+        (self.bad if frame.cause else self.frames).append(frame)
+        super().frame(frame, now)
 
     def write(self, data):
-        """Write bytes; on a tty with a path, False if it is absent."""
-        return self.line.write(data)
+        """Write bytes; False if the tty is absent."""
+        try:
+            self._port.write(data)
+        except (PortBusy, PortError):
+            return False
+        return True
 
     def close(self):
-        """End the thread, and close the tty."""
-        self._closing.set()
-        self._thread.join(5)
-        if isinstance(self.line, Tty):
-            self.line.close()
-
-    def _run(self):
-        while not self._closing.is_set():
-            try:
-                if self._paused.is_set():
-                    self._idle.set()
-                    raise OSError
-                self._read()
-                self.idle()
-            except OSError:         # the line was cut
-                self._decoder.reset()
-                self._closing.wait(0.005)
-
-    def _read(self):
-        data = self.line.read(self.POLL)
-        now = time.monotonic()
-        frames = []
-        with self._recording:       # all of one read is recorded, or forgotten
-            wire, valid, bad = self.wire, self.frames, self.bad
-        if data:
-            self._last_byte = now
-            wire.extend(data)
-            frames = self._decoder.feed(data, now)
-        elif now > self._last_byte + _GIVE_UP:
-            frames = self._decoder.give_up()
-        for frame in frames:
-            if frame.cause:
-                bad.append(frame)
-            else:
-                valid.append(frame)
-                self.take(frame)
+        """End the thread."""
+        self._runner.stop()
+        self._thread.join()
 
 
-class BusBoard(FakeBus, Board):
-    """The main control board."""
+class BusBoard(Shown, bus_simulator.ControlBoard):
+    """The control board, whose lift and gimbal move at once and without an end, and which has every
+    function: each answers OK with the bytes in `data`, by its CMD2.
 
-    def __init__(self, line, **manners):
-        FakeBus.__init__(self, **manners)
-        Board.__init__(self, line, bus.RequestDecoder())
-
-    @property
-    def others(self):
-        """The bytes of the frames that are neither SYNC nor ECHO."""
-        return [frame.raw for frame in list(self.frames) if frame.type not in (bus.SYNC, bus.ECHO)]
-
-    def requests(self, cmd1=None):
-        """The requests so far."""
-        return [request for request in self.messages() if cmd1 in (None, request.cmd1)]
-
-    def moves(self):
-        """Lift, gimbal and raw requests, in their order."""
-        return [request for request in self.requests(bus.FUNCTION)
-                if request != bus.ENVIRONMENT_REQUEST]
-
-
-class CarBoard(Board):
-    """The model car, which does not move at first. With `streaming` it sends IMU packets all the
-    time.
-
-    A SPEED 0 while the speed is 0 is a repetition, which is a frame but no command. Once the car
-    has sent something by `write` or `say`, it is never silent as long as it gets heartbeats, since
-    the bridge refuses commands to a silent board: it sends empty packets, which are nothing.
+    `rule`, with each request, returns another answer than the usual one (None): a Reply, or b''
+    for no answer. Requests other than SYNC, ECHO and environment take the next element of `script`,
+    likewise.
     """
 
-    IMU = arduino.encode(arduino.Imu(16384, *[0] * 10))
-    POLL = 0.005
+    def __init__(self, path, **options):
+        self.air = AIR
+        self.data = {}
+        self.script = deque()
+        self.rule = lambda request: None
+        super().__init__(path, **{'lift_speed': 1e9, 'gimbal_speed': 1e9, **options})
+        for axis in self.lift, self.pan, self.tilt:
+            axis.limits = float('-inf'), float('inf')
 
-    def __init__(self, line, messages=()):
-        self.streaming = False
-        self._speed = 0
-        self._wrote_at = float('inf')
-        super().__init__(line, arduino.BoardDecoder(messages=messages))
+    def frame(self, frame, now):
+        request = frame.message
+        answer = request and self.rule(request)
+        if answer is None and request and request.cmd1 == bus.FUNCTION \
+                and request != bus.ENVIRONMENT_REQUEST:
+            answer = self.script.popleft() if self.script else None
+            if answer is None and request.cmd2 not in _BUILT_IN:
+                answer = bus.Reply(bus.OK, self.data.get(request.cmd2, b''))
+        if answer is None:
+            super().frame(frame, now)
+        else:
+            self.frames.append(frame)
+            self.line.send(bus.encode_reply(answer) if answer else b'')
+
+    def environment(self, now):
+        return self.air
+
+    def asked(self, cmd2):
+        """The data of the requests of a function, in their order."""
+        return [each.data for each in self.messages() if each[:2] == (bus.FUNCTION, cmd2)]
+
+
+class CarBoard(Shown, arduino_simulator.ModelCar):
+    """The model car. `command_frames` are those of its commands: neither heartbeats, nor SPEED 0
+    where the speed is 0, which is a repetition.
+
+    Args:
+        measures: whether it sends measurements; else empty packets, since the bridge refuses
+            commands to a silent board.
+    """
+
+    def __init__(self, path, measures=False, **options):
+        self._measures, self._speed, self._talks_at = measures, 0, 0.0
+        super().__init__(path, **options)
 
     def forget(self):
-        super().forget()
-        self.command_frames = []
+        with self._recording:
+            super().forget()
+            self.command_frames = []
 
-    def take(self, frame):
-        message = frame.message
+    def frame(self, frame, now):
+        message, is_repetition = frame.message, False
         if isinstance(message, arduino.SpeedCommand):
-            before, self._speed = self._speed, message.value
-            if before == message.value == 0:
-                return
-        if not isinstance(message, arduino.Heartbeat):
+            is_repetition = message.value == self._speed == 0
+            self._speed = message.value
+        if message is not None and not isinstance(message, arduino.Heartbeat) \
+                and not is_repetition:
             self.command_frames.append(frame)
-        elif time.monotonic() > self._wrote_at + _QUIET:
-            self.write(b'\0')
+        super().frame(frame, now)
 
-    def idle(self):
-        if self.streaming:
-            self.line.write(self.IMU)
+    def advance(self, now):
+        if now > self._talks_at:
+            self._talks_at = now + _QUIET
+            self.line.send_raw(b'\0')
+        return super().advance(now)
 
-    def write(self, data):
-        self._wrote_at = time.monotonic()
-        return super().write(data)
+    def _send_measured(self, *messages):
+        if self._measures:
+            super()._send_measured(*messages)
 
-    def say(self, message):
-        """Send a typed message."""
-        self.write(arduino.encode(message))
+    def say(self, *messages):
+        """Send messages, without another one between them; False if the tty is absent."""
+        return self.write(b''.join(map(arduino.encode, messages)))
 
     def commands(self):
-        """The messages that are neither heartbeats nor repetitions of SPEED 0."""
+        """The messages of `command_frames`."""
         return [frame.message for frame in list(self.command_frames)]
-
-    @property
-    def raw_commands(self):
-        """The bytes of these messages."""
-        return [frame.raw for frame in list(self.command_frames)]
 
     @property
     def speeds(self):
@@ -189,46 +171,38 @@ class CarBoard(Board):
         return [message.value for message in self.commands()
                 if isinstance(message, arduino.SpeedCommand)]
 
-    def heartbeats(self):
-        """How many were received."""
-        return len(self.messages(arduino.Heartbeat))
-
     @property
     def heartbeat_times(self):
-        """When each was received, by time.monotonic()."""
+        """When each heartbeat was received, by time.monotonic()."""
         return [frame.stamp for frame in list(self.frames)
                 if isinstance(frame.message, arduino.Heartbeat)]
+
+    def heartbeats(self):
+        """How many were received."""
+        return len(self.heartbeat_times)
 
     def wait_for_heartbeats(self, number):
         """Wait for that many heartbeats from now on."""
         wanted = self.heartbeats() + number
-        waiting.until(lambda: self.heartbeats() >= wanted, '%d heartbeats' % number)
-
-    def wait_for_heartbeat_rate(self, least, most, number=100):
-        """Wait until the rate of `number` heartbeats is between these limits, in Hz.
-
-        A stall of this machine lowers only the rate of the heartbeats that it delays.
-        """
-        def measured():
-            self.forget()
-            self.wait_for_heartbeats(number)
-            stamps = self.heartbeat_times
-            seconds = stamps[-1] - stamps[0]
-            return least * seconds < len(stamps) - 1 < most * seconds
-        waiting.until(measured, 'heartbeats at %g to %g Hz' % (least, most))
+        until(lambda: self.heartbeats() >= wanted, f'{number} heartbeats')
 
 
-class SensorBoard(Board):
-    """The board with the range sensors. Nothing is sent to it: `wire` must stay empty."""
+class SensorBoard(Shown, mcu_simulator.SensorBoard):
+    """The sensor board; `measures` as that of the car."""
 
-    def __init__(self, line):
-        self.seq = 0
-        super().__init__(line, mcu.Decoder())
+    def __init__(self, path, measures=False, **options):
+        self._measures, self._own_seq = measures, 0
+        super().__init__(path, **options)
 
-    def say(self, message):
-        """Send a typed message as the next frame."""
-        self.write(mcu.encode(message, self.seq))
-        self.seq = (self.seq + 1) % 256
+    def advance(self, now):
+        return super().advance(now) if self._measures else None
+
+    def say(self, *messages):
+        """Send messages as frames in a row; False if the tty is absent."""
+        frames = [mcu.encode(message, (self._own_seq + index) % 256)
+                  for index, message in enumerate(messages)]
+        self._own_seq += len(messages)
+        return self.write(b''.join(frames))
 
 
 def level_imu():

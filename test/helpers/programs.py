@@ -1,9 +1,14 @@
-"""Starts programs for a test, ends them with it, and finds what is left of them."""
+"""Starts programs for a test, and ends them with it."""
 import contextlib
 import os
 import random
+import re
+import signal
 import socket
+import subprocess
 import tempfile
+
+from waiting import PATIENCE, until
 
 
 class Output:
@@ -27,6 +32,53 @@ class Output:
         """What they have printed so far."""
         size = os.fstat(self.fileno()).st_size
         return os.pread(self.fileno(), size, 0).decode(errors='replace')
+
+
+class Process:
+    """A running program.
+
+    Args:
+        stdout: where it prints; by default what `output` returns.
+        environment: variables to set.
+    """
+
+    def __init__(self, *command, stdout=None, **environment):
+        self._output = Output()
+        self.process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=self._output if stdout is None else stdout,
+            stderr=subprocess.STDOUT, env={**os.environ, **environment})
+
+    @property
+    def alive(self):
+        """Whether it runs."""
+        return self.process.poll() is None
+
+    def output(self):
+        """Its output so far, without colours."""
+        return re.sub('\033\\[[0-9;]*m', '', self._output.text())
+
+    def wait_for(self, words):
+        """Wait until it has printed these words, and return the first line with them."""
+        try:
+            until(lambda: words in self.output() or not self.alive, f'it prints "{words}"',
+                  every=0.05)
+            return next(line for line in self.output().split('\n') if words in line)
+        except (AssertionError, StopIteration):
+            raise AssertionError(f'it does not print "{words}", but: {self.output()}') from None
+
+    def ended(self):
+        """Wait until it ends by itself; return its exit status."""
+        return self.process.wait(PATIENCE)
+
+    def end(self, number=signal.SIGINT):
+        """Send a signal, if it runs; return its exit status."""
+        self.process.send_signal(number)
+        return self.ended()
+
+    def kill(self):
+        """Kill it, if it runs."""
+        self.process.kill()
+        self.process.wait(PATIENCE)
 
 
 def started(make):

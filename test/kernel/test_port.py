@@ -6,7 +6,8 @@ import threading
 import time
 
 import pytest
-from lines import Rfc2217Server
+import serial
+import serial.rfc2217
 from waiting import PATIENCE, Waiter, again_if_stalled, until
 
 from serial_communication.transport.port import Port, PortBusy, PortError
@@ -283,9 +284,80 @@ def test_a_write_to_a_full_socket_does_not_block_and_nothing_taken_is_lost(conne
     reader.stop()
 
 
+class Rfc2217Server:
+    """A server of telnet with serial options, as ser2net is, for one connection."""
+
+    def __init__(self, listening, path):
+        self.url = 'rfc2217://127.0.0.1:%d' % listening.getsockname()[1]
+        self.peer = None
+        self._going = threading.Event()
+        self._going.set()
+        self._standing = threading.Event()
+        self._ended = threading.Event()
+        self._server, self._path = listening, path
+        self._thread = threading.Thread(target=self._serve, name='rfc2217 server', daemon=True)
+        self._thread.start()
+
+    def stop_reading(self):
+        """Stop reading; it has stopped when this returns, until `go_on`."""
+        self._standing.clear()
+        self._going.clear()
+        assert self._standing.wait(PATIENCE)
+
+    def go_on(self):
+        self._going.set()
+
+    def end(self):
+        self._ended.set()
+        self._going.set()
+        self._thread.join()
+
+    def _serve(self):
+        with self._server:
+            self.peer, _ = self._server.accept()
+        connection = _Connection(self.peer)
+        with self.peer, _Device(self._path, timeout=0.05) as device:
+            manager = serial.rfc2217.PortManager(device, connection)
+            self.peer.settimeout(0.05)
+            while not self._ended.is_set():
+                if not self._going.is_set():
+                    self._standing.set()
+                    self._going.wait()
+                    continue
+                connection.write(b''.join(manager.escape(device.read(device.in_waiting))))
+                try:
+                    data = self.peer.recv(65536)
+                except socket.timeout:
+                    continue
+                except OSError:
+                    break
+                if not data:
+                    break       # closed, not reset: the peer knew that all had arrived
+                device.write(b''.join(manager.filter(data)))
+
+
+class _Device(serial.Serial):
+    """A pseudo terminal, which has no modem lines."""
+
+    cts = dsr = ri = cd = False
+    rts = dtr = True
+
+
+class _Connection:
+    """What a PortManager writes its answers to."""
+
+    def __init__(self, peer):
+        self._peer = peer
+
+    def write(self, data):
+        try:
+            self._peer.sendall(data)
+        except OSError:
+            pass    # the peer no longer reads; what it sent can still be read
+
+
 @pytest.fixture
 def rfc2217(free_server, line):
-    """A server of telnet with serial options, as ser2net is."""
     server = Rfc2217Server(free_server, line.path)
     yield server
     server.end()

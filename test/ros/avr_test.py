@@ -5,6 +5,7 @@ import shutil
 import signal
 import socket
 import subprocess
+import tempfile
 import unittest
 from xmlrpc.client import ServerProxy
 
@@ -13,8 +14,9 @@ import rospy
 import rostest
 
 from boards import (NOT_SENT, Output, PACKAGE, PATIENCE, TIMEOUT, Topic, again_if_stalled,
-                    command_topic, own_folder, service, until, until_in_step, wait_for_launch)
-from launch_test import SIMULATED_TOPICS
+                    command_topic, service, until, until_in_step, wait_for_launch)
+from contract_published import PUBLISHED
+from contract_robot import resolved
 from serial_communication.msg import SpeedPWMCommand
 from serial_communication.srv import Gimbal, Lift
 
@@ -26,7 +28,7 @@ class Launched(unittest.TestCase):
     NODE = NAMESPACE + '/' + PACKAGE
 
     def setUp(self):
-        self.folder = own_folder()
+        self.folder = tempfile.mkdtemp(prefix='rostest_')
         self.addCleanup(shutil.rmtree, self.folder, ignore_errors=True)
         self.output = Output()
         self.addCleanup(self.output.close)
@@ -76,8 +78,11 @@ class Launched(unittest.TestCase):
 
     def test_all_boards_work_and_a_bridge_that_is_killed_returns_with_the_motor_off(self):
         wait_for_launch(self.NODE[1:])
-        for name, message_class in SIMULATED_TOPICS:
-            topic = Topic(self.NAMESPACE + name, message_class)
+        for name, message_class in [item for link in ('bus', 'arduino', 'mcu')
+                                    for item in PUBLISHED[link].items()]:
+            if name == 'mcu/adc_status':
+                continue
+            topic = Topic(self.NAMESPACE + resolved(name), message_class)
             self.addCleanup(topic.close)
             topic.first()
         self.assert_moves('lift_position', 4, service(self.NODE + '/lift', Lift), 0, 4)

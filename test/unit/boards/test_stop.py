@@ -2,7 +2,7 @@
 import pytest
 
 from steps import Bus, Steps
-from fake_bus import gimbal, lift
+from bus_moves import gimbal, lift
 from serial_communication.boards.arduino import wire as arduino
 from links import ArduinoLink
 from serial_communication.boards.arduino.session import CarOptions

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fake_bus import lift
+from bus_moves import lift
 from protocol_cases import (ALL, BOARD_BUS, BUS, BUS_CMD2, CHECKSUMMED, MCU, chunkings, decode,
                             errors_of, feed, give_up, held, name_of, random_chunks, valid)
 from serial_communication.boards.arduino import wire as arduino

@@ -4,7 +4,7 @@ from by_definition import cobs_encode
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol_cases import hexed, vectors
+from decoding import hexed, vectors
 from serial_communication.framing import cobs
 
 VECTORS = vectors('cobs')

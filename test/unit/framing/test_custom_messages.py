@@ -9,7 +9,7 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
 from serial_communication.framing.stream import IMPLAUSIBLE, LENGTH
-from protocol_cases import errors_of
+from decoding import errors_of
 from board_rows import car_messages as arduino_messages
 from board_rows import functions as bus_functions
 from board_rows import mcu_messages

@@ -6,9 +6,9 @@ from by_definition import xor_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol_cases import (BOARD_BUS, BUS, BUS_CMD2, check_case, check_rejected,
-                            decode, hexed, vectors)
-from fake_bus import gimbal, lift
+from bus_moves import gimbal, lift
+from protocol_cases import BOARD_BUS, BUS, BUS_CMD2, check_case, check_rejected, decode
+from decoding import hexed, vectors
 from serial_communication.boards.bus import DESCRIPTION, wire as bus
 from serial_communication.framing.rows import RowError
 from serial_communication.framing.stream import CHECKSUM, FRAMING

@@ -3,7 +3,7 @@
 import pytest
 
 from steps import Bus
-from fake_bus import gimbal, lift
+from bus_moves import gimbal, lift
 from serial_communication.link.session import ERROR, OK
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT
 from serial_communication.boards.bus import wire as bus

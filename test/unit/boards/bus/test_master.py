@@ -6,7 +6,7 @@ import logging
 
 import pytest
 
-from fake_bus import gimbal, lift
+from bus_moves import gimbal, lift
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus import channel
 from serial_communication.boards.bus.call import MasterOptions

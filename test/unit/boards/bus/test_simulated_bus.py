@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from simulation_bench import Bench
 
 from board_rows import functions
-from fake_bus import gimbal, lift
+from bus_moves import gimbal, lift
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.bus.simulator import ControlBoard
 

@@ -7,7 +7,8 @@ from by_definition import xor_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol_cases import (MCU, check_case, check_rejected, decode, hexed, no_errors, vectors)
+from protocol_cases import MCU, check_case, check_rejected, decode, no_errors
+from decoding import hexed, vectors
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.framing.stream import CHECKSUM, FRAMING, UNKNOWN
 

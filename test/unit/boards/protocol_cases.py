@@ -1,10 +1,8 @@
 """Helpers for tests of decoders: the protocols, and all ways in which a stream may be read."""
-import json
-import os
 import random
-from collections import Counter
 from typing import Any, Callable, Dict, Iterable, List, NamedTuple, Sequence, Tuple
 
+from decoding import errors_of
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
@@ -44,19 +42,6 @@ ALL = CHECKSUMMED + (ARDUINO, ARDUINO_CHECKED, BOARD_ARDUINO)
 def name_of(kind: DecoderKind) -> str:
     """For pytest's ids."""
     return kind.name
-
-
-def vectors(protocol: str) -> Dict[str, List[dict]]:
-    """The byte-exact examples of one protocol."""
-    path = os.path.join(os.path.dirname(__file__), '..', 'unit', 'boards', 'vectors',
-                        protocol + '.json')
-    with open(path, encoding='utf-8') as file:
-        return json.load(file)
-
-
-def hexed(text: str) -> bytes:
-    """Bytes from the vectors' notation."""
-    return bytes.fromhex(text)
 
 
 def random_chunks(stream: bytes, seed: int) -> List[bytes]:
@@ -131,11 +116,6 @@ def check_reported(stream: bytes, frames: Sequence[Frame]) -> None:
         assert bool(frame.cause) == bool(frame.error)
         if frame.cause:
             assert frame.message is None
-
-
-def errors_of(frames: Iterable[Frame]) -> Dict[str, int]:
-    """How many errors of each cause there are."""
-    return Counter(frame.cause for frame in frames if frame.cause)
 
 
 def total(errors: Dict[str, int]) -> int:

@@ -4,7 +4,7 @@ For the test of linear cost. Depends on the protocol code alone.
 """
 from typing import Any, Callable, List, NamedTuple
 
-from fake_bus import lift
+from bus_moves import lift
 from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.bus import wire as bus
