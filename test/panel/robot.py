@@ -15,7 +15,8 @@ from serial_communication.boards.arduino import DESCRIPTION, wire as arduino
 NODE = '/serial_communication'
 ROWS = {'cmd_vel': {'type': 41, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Twist',
                     'layout': '<ff', 'fields': ['linear.x', 'angular.z']}}
-TWIST = DESCRIPTION.read('messages', ROWS)[0].message
+CUSTOM = DESCRIPTION.read('messages', ROWS)
+TWIST = CUSTOM[0].message
 
 
 class Core:
@@ -50,8 +51,8 @@ class Robot:
     def __init__(self, folder):
         self.lines = {name: Line(os.path.join(folder, name)).plug()
                       for name in ('bus', 'arduino', 'mcu')}
-        self.bus = BusBoard(self.lines['bus'].far, polled=True)
-        self.car = CarBoard(self.lines['arduino'].far, messages=[TWIST])
+        self.bus = BusBoard(self.lines['bus'].far)
+        self.car = CarBoard(self.lines['arduino'].far, custom=CUSTOM)
         self.sensors = SensorBoard(self.lines['mcu'].far)
         self._ended = threading.Event()
         threading.Thread(target=self._send, daemon=True).start()

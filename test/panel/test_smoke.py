@@ -55,7 +55,7 @@ def test_a_form_calls_a_service(page, robot):
     page.wait(lambda page: page.all('[data-form="~lift"] button:enabled'), 'it may be called')
     page.click('[data-form="~lift"] button')
     page.wait(lambda page: 'done: lift up 20 mm' in page.text('.answers'), 'the answer')
-    assert [request.data for request in robot.bus.moves()][-1:] == [bytes((0, 20))]
+    assert robot.bus.asked(0x20)[-1:] == [bytes((0, 20))]
 
 
 def test_stop_holds_against_another_program_until_another_page_releases_it(page, panel, robot):

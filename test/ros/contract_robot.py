@@ -3,7 +3,6 @@ at the far ends of socat pairs."""
 import atexit
 import functools
 import os
-import re
 import shutil
 import struct
 import tempfile
@@ -23,9 +22,7 @@ from serial_communication.boards.arduino import DESCRIPTION
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 LINKS = 'bus', 'arduino', 'mcu', 'wind'
-# The board of another package: its files are on this page.
-PAGE = ROOT / 'doc' / 'developing.md'
-_FILE = re.compile(r'<!-- file: (\S+) -->\n```\w+\n(.*?)^```$', re.MULTILINE | re.DOTALL)
+SAMPLE = ROOT / 'doc' / 'wind_sensor'      # the board of another package
 # The settings of the car as it has them: its own limit of kp is lower than that of the parameters.
 SETTINGS = {'kp': {'setting': 1, 'layout': '<f', 'maximum': 5.0},
             'ramp': {'setting': 2, 'layout': '<H'},
@@ -66,11 +63,9 @@ class Robot:
         self.start_bus()
         self.start_car()
         self.start_sensors()
-        for name, text in _FILE.findall(PAGE.read_text()):
-            path = Path(self.folder, name)
-            path.parent.mkdir(exist_ok=True)
-            path.write_text(text.replace('/tmp/wind', self.lines['wind'].near))
-        self.python_path = f'{self.folder}:{os.environ["PYTHONPATH"]}'
+        Path(self.folder, 'wind.yaml').write_text(
+            (SAMPLE / 'wind.yaml').read_text().replace('/tmp/wind', self.lines['wind'].near))
+        self.python_path = f'{SAMPLE.parent}:{os.environ["PYTHONPATH"]}'
         self.rosout, self.diagnostics = Rosout(), Diagnostics()
         self.parameters = parameters()
         for link, line in self.lines.items():
