@@ -15,7 +15,8 @@ _TEST = os.path.dirname(os.path.abspath(__file__))
 sys.path.insert(0, os.path.join(_TEST, 'helpers'))
 if importlib.util.find_spec('serial_communication') is None:
     sys.path.insert(0, os.path.dirname(_TEST))
-from progress import Progress  # noqa: E402  pylint: disable=wrong-import-position
+import rostests  # noqa: E402  pylint: disable=wrong-import-position
+from progress import Progress  # noqa: E402
 
 _EXAMPLES = os.environ.get('SERIAL_COMMUNICATION_FUZZ_EXAMPLES', '')
 settings.register_profile(
@@ -26,6 +27,7 @@ settings.load_profile('here')
 
 
 def pytest_configure(config):
+    config.pluginmanager.register(rostests)
     if not hasattr(config, 'workerinput'):      # a worker of pytest-xdist prints nothing
         config.pluginmanager.register(Progress())
 

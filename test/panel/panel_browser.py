@@ -136,6 +136,8 @@ class Browser:
         return ActionChains(self.driver, duration=10)
 
     def click(self, selector):
+        """Click it once it is shown: the page may still be laid out."""
+        until(lambda: self.all(selector)[0].is_displayed(), f'{selector} is shown')
         self.all(selector)[0].click()
 
     def press_at(self, selector, right, down):

@@ -1,4 +1,4 @@
-"""Each .test file is a test: rostest runs it with a ROS master of its own."""
+"""A pytest plugin: each .test file is a test; rostest runs it with a ROS master of its own."""
 import subprocess
 import sys
 from pathlib import Path

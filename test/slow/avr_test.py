@@ -5,14 +5,17 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
 import tempfile
 import unittest
+from pathlib import Path
 from xmlrpc.client import ServerProxy
 
 import rosgraph
 import rospy
 import rostest
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'ros'))
 from boards import (NOT_SENT, Output, PACKAGE, PATIENCE, TIMEOUT, Topic, again_if_stalled,
                     command_topic, service, until, until_in_step, wait_for_launch)
 from contract_published import PUBLISHED
