@@ -52,7 +52,8 @@ class Receiver:
     def _deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
         session, read = self._session, frame.stamp
-        shown = session.shown(stamped(frame, read.stamp)) if session.tap else frame
+        # None: nobody listened when the frame came.
+        shown = session.shown(stamped(frame, read.stamp)) if session.tap else None
         frame = stamped(frame, self.stamps.of(frame, read))
         # The board may still announce a type that is unknown now.
         if frame.cause and (frame.cause != UNKNOWN or session.announcement.on_text is None
@@ -65,5 +66,5 @@ class Receiver:
             session.frames_received += 1
             session.presence.heard(now)
             session.received(frame, now)
-        if session.tap:
+        if shown:
             session.tapped(RX, shown)

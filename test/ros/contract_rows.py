@@ -3,6 +3,7 @@ import math
 from functools import reduce
 
 import dynamic_reconfigure.client
+import rosgraph
 import rospy
 from geometry_msgs.msg import Vector3
 from nav_msgs.msg import Odometry
@@ -255,12 +256,12 @@ class Announced(Contract):
         level.first(lambda m: m.data == 7,
                     doing=lambda: self.car.write(arduino_packet(51, b'\7\0')))
         level.close()       # rospy has one type for a name in a process
-        for text in (FORCE + LEVEL, FORCE + LEVEL.replace('UInt16', 'Bool')):
-            self.announce(text)
-        changed = self.topic('~depth', Bool, wait=False)
-        until(lambda: changed.messages and changed.messages[-1].data is True, 'another type',
-              doing=lambda: (self.announce(FORCE + LEVEL.replace('UInt16', 'Bool')),
-                             self.car.write(arduino_packet(51, b'\7\0'))))
+        self.announce(FORCE + LEVEL)
+        until(lambda: dict(rosgraph.Master('/test').getTopicTypes())[resolved('~depth')]
+              == 'std_msgs/Bool', 'another type', every=0.1,
+              doing=lambda: self.announce(FORCE + LEVEL.replace('UInt16', 'Bool')))
+        self.topic('~depth', Bool).first(
+            lambda m: m.data is True, doing=lambda: self.car.write(arduino_packet(51, b'\7\0')))
         torque.next(lambda m: m.data == 1.0, doing=speak)
         self.assertEqual([each._subscriber.impl.connections for each in (torque, ticks)],
                          connections)
