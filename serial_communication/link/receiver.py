@@ -52,7 +52,6 @@ class Receiver:
     def _deliver(self, frame: Frame, now: float) -> None:
         """Count, log and pass on one frame, valid or not; its stamp is a `Read`."""
         session, read = self._session, frame.stamp
-        # None: nobody listened when the frame came.
         shown = session.shown(stamped(frame, read.stamp)) if session.tap else None
         frame = stamped(frame, self.stamps.of(frame, read))
         # The board may still announce a type that is unknown now.
@@ -66,5 +65,5 @@ class Receiver:
             session.frames_received += 1
             session.presence.heard(now)
             session.received(frame, now)
-        if shown:
+        if shown:       # somebody listened when the frame came
             session.tapped(RX, shown)
