@@ -17,7 +17,9 @@ _FIXED = 160        # seeds
 # What the judge has found in the bridge, by the seed that showed it.
 FOUND = {
     63: 'a stop of a function that is announced no longer was not sent, and ended what was '
-        'outstanding all the same'}
+        'outstanding all the same',
+    149: 'every reading of the environment counted as an implausible error',
+    2026116928: 'the first time of a board was damaged, and made the stamps after it 17 ms early'}
 _DIGEST = '''
 import hashlib, sys
 sys.path[:0] = [{folder!r}]
