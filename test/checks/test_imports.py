@@ -6,9 +6,8 @@ boards/*.py, the list of boards and their description, imports only framing. The
 boards/X find a board there, and name none.
 """
 import ast
-import re
 from pathlib import Path
-from typing import Dict, Iterator, List, Set
+from typing import Dict, Iterator, Optional, Set
 
 from sources import PACKAGE
 
@@ -40,67 +39,32 @@ IO = {'io', 'logging', 'os', 'queue', 'random', 'select', 'serial', 'signal', 's
 
 
 def test_every_layer_imports_only_what_it_may():
-    assert offenders(PACKAGE) == []
+    assert sorted(f'{path.relative_to(PACKAGE)} imports {module}'
+                  for path in PACKAGE.rglob('*.py') if path != PACKAGE / '__init__.py'
+                  for layer in layers(path) for module in imports(path)
+                  if not may_import(layer, path, module)) == []
 
 
-def test_everything_that_is_imported_exists():
-    """mypy passes over every module that is missing, as those of ROS may be."""
-    missing = []
-    for path in PACKAGE.rglob('*.py'):
-        for module in imports(path, PACKAGE):
-            file, name = target(module, PACKAGE), module.split('.')[-1]
-            if file and file.is_file() and name not in (file.stem, file.parent.name) \
-                    and not re.search(rf'\b{name}\b', file.read_text()):
-                missing.append(f'{path.relative_to(PACKAGE)} imports {module}')
-    assert missing == []
-
-
-def test_every_folder_has_a_rule():
-    folders = {path.parent.name for path in PACKAGE.glob('*/__init__.py')}
-    assert folders == {layer for layer in ALLOWED if '/' not in layer} - {'output'}
-
-
-# -- the rule ---------------------------------------------------------------------------------
-
-
-def offenders(package: Path) -> List[str]:
-    """Return 'FILE imports WHAT' for each import that the layer of the file must not have."""
-    return sorted({f'{path.relative_to(package)} imports {bad}'
-                   for path in package.rglob('*.py') if path != package / '__init__.py'
-                   for layer in layers(path, package)
-                   for bad in bad_imports(path, layer, package)})
-
-
-def layers(path: Path, package: Path) -> Set[str]:
+def layers(path: Path) -> Set[str]:
     """Return the layer of a file, or several for a helper in a board's folder."""
-    parts = path.relative_to(package).with_suffix('').parts
+    parts = path.relative_to(PACKAGE).with_suffix('').parts
     if parts[0] != 'boards' or len(parts) == 2:
         return {parts[0]}
     if f'X/{parts[2]}' in ALLOWED:
         return {f'X/{parts[2]}'}
-    found = set()
-    for other in path.parent.glob('*.py'):
-        if other != path and path in (target(each, package) for each in imports(other, package)):
-            found |= layers(other, package)
-    return found or {'X/wire'}      # no file imports it
+    found = [layers(other) for other in path.parent.glob('*.py')
+             if other != path and path in map(target, imports(other))]
+    return set().union(*found) or {'X/wire'}      # no file imports it
 
 
-def bad_imports(path: Path, layer: str, package: Path) -> Iterator[str]:
-    """Yield the imports that a file of this layer must not have."""
-    for module in imports(path, package):
-        found = target(module, package)
-        if found is None:
-            top = module.split('.')[0]
-            is_ros = top in ROS or top.endswith(('_msgs', '_srvs'))
-            if is_ros and layer not in WITH_ROS or top in IO and layer in WITHOUT_IO:
-                yield module
-        elif not may_import(layer, path, found, package):
-            yield str(found.relative_to(package))
-
-
-def may_import(layer: str, path: Path, found: Path, package: Path) -> bool:
-    """Whether a file of this layer may import the file `found`."""
-    parts = found.relative_to(package).with_suffix('').parts
+def may_import(layer: str, path: Path, module: str) -> bool:
+    """Whether a file of this layer may have this import."""
+    found = target(module)
+    if found is None:
+        top = module.split('.')[0]
+        is_ros = top in ROS or top.endswith(('_msgs', '_srvs'))
+        return not (is_ros and layer not in WITH_ROS or top in IO and layer in WITHOUT_IO)
+    parts = found.relative_to(PACKAGE).with_suffix('').parts
     if not parts or parts[0] != 'boards' or len(parts) == 2:
         return not parts or parts[0] in ALLOWED[layer] | {layer}
     name = f'X/{parts[2]}'
@@ -109,29 +73,28 @@ def may_import(layer: str, path: Path, found: Path, package: Path) -> bool:
     return name not in ALLOWED or name in ALLOWED[layer] | {layer}
 
 
-def target(module: str, package: Path) -> Path:
+def target(module: str) -> Optional[Path]:
     """Return the file that an import of this package names; None for another package."""
     top, *parts = module.split('.')
-    if top != 'serial_communication':
+    if top != PACKAGE.name:
         return None
     while parts:
-        path = package.joinpath(*parts)
+        path = PACKAGE.joinpath(*parts)
         for file in path.with_suffix('.py'), path / '__init__.py':
             if file.is_file():
                 return file
         if parts[0] in MESSAGES:
-            return package / parts[0]
+            return PACKAGE / parts[0]
         parts.pop()     # a name in a module
-    return package
+    return PACKAGE
 
 
-def imports(path: Path, package: Path) -> Iterator[str]:
+def imports(path: Path) -> Iterator[str]:
     """Yield the full name of each import, including those inside functions."""
-    inside = ['serial_communication', *path.relative_to(package).parts[:-1]]
+    inside = [PACKAGE.name, *path.relative_to(PACKAGE).parts[:-1]]
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield alias.name
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             base = inside[:len(inside) - node.level + 1] if node.level else []
             base = base + (node.module.split('.') if node.module else [])

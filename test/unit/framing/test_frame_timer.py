@@ -97,15 +97,3 @@ def test_a_frame_in_pieces_is_received_within_its_time(make, false_start, size, 
         line.receive(wire[at:at + 1])
         line.wait(pause if at + 1 < len(wire) else 0.0)
     assert [raw for _, raw in line.got] == [wire]
-
-
-@LINKS
-def test_a_decoder_that_was_reset_begins_anew(make, false_start, size, wire):
-    line = Line(make)
-    line.receive(false_start)
-    line.wait(0.04)
-    line.decoder.reset()
-    line.now += 1.0
-    line.receive(false_start + false_start)
-    line.wait(TIMEOUT - 0.001)
-    assert line.decoder.pending and not line.got

@@ -103,26 +103,6 @@ def test_what_a_limit_is_rounded_to_is_allowed(one, other):
         assert setting.checked(rounded) == rounded
 
 
-def test_a_limit_that_a_float32_has_changed_is_allowed():
-    assert row(maximum=0.6).checked(0.6000000238418579) == 0.6
-
-
-def test_the_default_of_a_row_whose_positive_minimum_rounds_down_is_allowed():
-    setting = row(minimum=0.0174532925, maximum=1)
-    assert setting.default < 0.0174532925 and setting.checked(setting.default) == setting.default
-
-
-@pytest.mark.parametrize('changes, text', [
-    ({}, 'may be a number from 0 to 10 1/s'),
-    ({'layout': '<h', 'maximum': None, 'unit': None}, 'may be a whole number from 0'),
-    ({'minimum': None}, 'may be a number to 10 1/s'),
-    ({'layout': '<?', 'minimum': None, 'maximum': None}, 'may be true or false')])
-def test_what_is_allowed_in_words(changes, text):
-    with pytest.raises(ValueError) as caught:
-        row(**changes).checked(99999)
-    assert str(caught.value) == text
-
-
 @pytest.mark.parametrize('name, changes, key, words', [
     ('kp', {'setting': None}, 'kp/setting', 'is missing'),
     ('kp', {'setting': 256}, 'kp/setting', 'from 0 to 255'),
@@ -147,7 +127,3 @@ def test_every_mistake_in_a_row(name, changes, key, words):
 def test_no_two_settings_have_one_number():
     with pytest.raises(RowError, match='already the setting of a'):
         arduino_settings({'a': KP, 'b': KP})
-
-
-def test_the_number_of_a_setting_and_of_a_message_are_not_the_same():
-    assert (row().number_key, row().number, row().message.TYPE) == ('setting', 1, 253)
