@@ -62,5 +62,12 @@ def test_a_port_has_all_its_names(computer):
     assert clone.name == f'{links}/by-path/pci-2'
 
 
-def test_this_computers_ports_can_be_listed():
-    assert all(os.path.exists(device.path) for device in devices.devices())
+@pytest.mark.parametrize('mode, words', [(0o660, 'usermod -a -G'), (0o600, 'udev')])
+def test_a_port_that_this_user_may_not_open_has_its_remedy(tmp_path, monkeypatch, mode, words):
+    path = tmp_path / 'port'
+    path.touch()
+    path.chmod(mode)
+    monkeypatch.setattr(devices.grp, 'getgrgid', lambda _: SimpleNamespace(gr_name='dialout'))
+    assert devices.no_access(str(path)) == ''
+    monkeypatch.setattr(devices.os, 'access', lambda *_given, **_options: False)
+    assert words in devices.no_access(str(path))

@@ -3,7 +3,6 @@ import json
 import os
 import pty
 import random
-import shutil
 import subprocess
 import sys
 import termios
@@ -18,7 +17,7 @@ from serial_communication.boards.arduino import wire as arduino
 from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.tools.ports import cli
-from serial_communication.tools.ports.devices import holders_of, no_access
+from serial_communication.tools.ports.devices import holders_of
 from lines import ROOT
 from waiting import until
 
@@ -179,32 +178,6 @@ def test_a_port_that_another_program_has_open_is_named_and_not_touched(board, tm
 
 
 # -- its parts, without a port ------------------------------------------------------------------
-
-
-@pytest.mark.parametrize('mode, group, words', [
-    (0o660, 'dialout', 'sudo usermod -a -G dialout $USER'),
-    (0o660, 'uucp', 'sudo usermod -a -G uucp $USER'),
-    (0o600, 'dialout', 'udev'), (0o660, 'root', 'udev')])
-def test_a_port_that_this_user_may_not_open_has_its_remedy(board, mode, group, words):
-    target, is_root = os.path.realpath(board('port').path), os.geteuid() == 0
-    assert no_access(target) == ''
-    if is_root:
-        shutil.chown(target, 'root', group)
-    else:
-        mode, words = 0, 'udev'
-    os.chmod(target, mode)
-    groups = os.getgroups()
-    if is_root:
-        os.setgroups([])    # after a login root is a member of its own group
-        os.setegid(65534)
-        os.seteuid(65534)
-    try:
-        assert words in no_access(target)
-    finally:
-        if is_root:
-            os.seteuid(0)
-            os.setegid(0)
-            os.setgroups(groups)
 
 
 @pytest.mark.parametrize('options, words', [([], 'This computer has no serial port.'),

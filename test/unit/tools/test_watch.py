@@ -23,16 +23,6 @@ def test_only_a_call_that_was_certainly_not_executed_counts_as_refused(status, v
     assert read_response(LiftResponse(False, status, 0, 'why')) == (verdict, 'why')
 
 
-@pytest.mark.parametrize('name, node, full', [
-    ('~imu', NODE, '/serial_communication/imu'), ('mcu/status', NODE, '/mcu/status'),
-    ('/tf', NODE, '/tf'), ('~imu', '/car/bridge', '/car/bridge/imu'),
-    ('mcu/status', '/car/bridge', '/car/mcu/status'), ('/tf', '/car/bridge', '/tf'),
-    ('/mcu/status', '/car/bridge', '/mcu/status'), ('serial_msg', '/a/b/c', '/a/b/serial_msg')])
-def test_relative_and_absolute_names_convert_both_ways(name, node, full):
-    assert topics.absolute(name, node) == full
-    assert topics.relative(full, node) == name
-
-
 def test_parameters_make_the_topics_of_custom_messages():
     parameters = {
         'arduino': {'port': '/dev/a', 'messages': {
@@ -133,23 +123,6 @@ def test_the_table_has_links_errors_by_cause_values_and_ages():
     later = {line.text.split()[0]: line for line in table.lines(watched, NOW + 3.5)}
     assert later['~voltage'].text.split() == ['~voltage', '3.5', 's', 'old', '11.5', 'V']
     assert 'STALE' in later['mcu'].text
-
-
-@pytest.mark.parametrize('columns, rows', [(200, 60), (80, 24), (30, 5), (3, 2)])
-def test_a_terminal_shows_as_much_of_the_table_as_fits_and_never_scrolls_it(
-        columns, rows, monkeypatch, capsys):
-    monkeypatch.setenv('COLUMNS', str(columns))
-    monkeypatch.setenv('LINES', str(rows))
-    monkeypatch.setenv('NO_COLOR', '1')
-    screen = table.Screen()
-    lines = [table.Line(f'{number} {"x" * 100}\n') for number in range(40)]
-    screen.show(lines)
-    screen.show(lines)
-    first, second = capsys.readouterr().out.split('\033[J')[:2]
-    assert first.count('\n') == min(40, rows - 1)
-    assert second.startswith(f'\033[{first.count(chr(10))}F')
-    assert all(len(line) <= columns for line in first.replace('\033[2K', '').split('\n'))
-    assert first.startswith('\033[2K0 x'[:columns + 4] if rows > 2 else '\033[2K')
 
 
 def test_a_report_has_the_diagnostics_and_parameters_but_no_secret_and_no_host():

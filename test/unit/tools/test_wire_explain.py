@@ -1,6 +1,5 @@
 """wire explain: the values of every vector, damaged bytes, and the parts of any bytes."""
 import re
-import struct
 import subprocess
 import sys
 
@@ -10,16 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lines import ROOT
 from waiting import PATIENCE
-from wire_lines import ARDUINO, BUS, FRAMES, LINKS, MCU, damaged_stream, settings
+from wire_lines import FRAMES, LINKS, damaged_stream, settings
 
-from serial_communication.boards.arduino import wire as arduino
-from serial_communication.boards.bus import wire as bus
+from serial_communication.framing.stream import IMPLAUSIBLE
 from serial_communication.tools.wire import explain
 from serial_communication.tools.wire.explain import NotHex
 from serial_communication.tools.wire.fields import Explainer
 from serial_communication.tools.wire.lines import Settings
 
-TO_ARDUINO = (4, 5, 6, 11, 12)      # message types that only a computer sends
 hexed = bytes.fromhex
 
 
@@ -46,55 +43,7 @@ def data_of(parts):
     return b''.join(part.data for part in parts)
 
 
-# -- the vectors ----------------------------------------------------------------------------------
-
-@pytest.mark.parametrize('case', BUS['requests'], ids=lambda case: case['frame'])
-def test_a_bus_request_is_explained_by_its_values(case):
-    each = only('bus', case['frame'])
-    assert each.sent and not each.trouble and data_of(each.parts[4:-1]) == hexed(case['data'])
-    assert (value_of(each, 'CMD1'), value_of(each, 'CMD2')) == (case['cmd1'], case['cmd2'])
-
-
-@pytest.mark.parametrize('case', BUS['replies'], ids=lambda case: case['frame'])
-def test_a_bus_reply_is_explained_by_its_values(case):
-    asked = re.search(r'smoke (\d+), (\S+) C, (\S+) %', case['name'])
-    request = bus.encode_request(bus.ENVIRONMENT_REQUEST if asked else bus.SYNC_REQUEST)
-    *_, each = explain.explain(request + hexed(case['frame']), settings('bus'))
-    assert not each.sent and not each.trouble and value_of(each, 'CMD1') == case['cmd1']
-    assert data_of(each.parts[3:-1]) == hexed(case['data'])
-    if 'error' in case:
-        assert value_of(each, 'error code') == case['error']
-    if asked:
-        assert [value_of(each, name) for name in ('smoke', 'temperature', 'humidity')] == [
-            pytest.approx(float(number)) for number in asked.groups()]
-
-
-@pytest.mark.parametrize('case', MCU, ids=lambda case: case['frame'])
-def test_an_mcu_frame_is_explained_by_its_values(case):
-    each = only('mcu', case['frame'])
-    assert not each.sent and not each.trouble
-    assert (value_of(each, 'TYPE'), value_of(each, 'SEQ')) == (case['type'], case['seq'])
-    names = {'vl53_1': 'range_1', 'vl53_2': 'range_2'}
-    wanted = dict(case['value'])
-    wanted.update((f'adc{index}', value) for index, value in enumerate(wanted.pop('adc', ())))
-    for name, value in wanted.items():
-        assert value_of(each, names.get(name, name)) == pytest.approx(value), name
-
-
-@pytest.mark.parametrize('case', ARDUINO, ids=lambda case: case['wire'])
-def test_an_arduino_packet_is_explained_by_its_values(case):
-    each = only('arduino', case['wire'])
-    assert (each.sent, value_of(each, 'type')) == (case['type'] in TO_ARDUINO, case['type'])
-    parts = [part for part in each.parts if part.name not in ('COBS code', 'type', 'end')]
-    assert data_of(parts) == hexed(case['payload'])
-    if case['type'] == 9:
-        assert [part.raw for part in parts] == list(struct.unpack('>11h', hexed(case['payload'])))
-    elif 'value' in case:
-        assert [part.value for part in parts] == [
-            case['value'] if isinstance(case['value'], str) else pytest.approx(case['value'])]
-
-
-# -- damage ---------------------------------------------------------------------------------------
+# -- frames ---------------------------------------------------------------------------------------
 
 def check_whole(data, parts):
     """The parts are in order, without gaps, and cover all bytes."""
@@ -104,29 +53,34 @@ def check_whole(data, parts):
 
 
 @pytest.mark.parametrize('link', LINKS)
-def test_a_damaged_stream_is_explained_with_all_its_bytes(link):
+def test_every_vector_is_one_frame_with_all_its_bytes(link):
+    for frame in FRAMES[link]:
+        each = only(link, frame.hex())
+        assert each.frame.cause in ('', IMPLAUSIBLE)
+        check_whole(frame, each.parts)
+
+
+@pytest.mark.parametrize('link, text, sent, values', [
+    ('bus', 'a50255200064b6', True, {'CMD1': 0x55, 'CMD2': 0x20, 'distance': 100}),
+    ('bus', 'a50203028026', False, {'CMD1': 3, 'error code': 0x8002}),
+    ('mcu', '020c109c2f003a0000000dfff3009803', False,
+     {'TYPE': 16, 'SEQ': 156, 'range_1': 47, 'range_2': 58, 'pitch': -2.43, 'roll': 2.43}),
+    ('arduino', '040418fc00', True, {'type': 4, 'value': -1000}),
+    ('arduino', '06066c6566740100', True, {'type': 6, 'value': 'left'})])
+def test_a_frame_is_explained_by_its_values(link, text, sent, values):
+    each = only(link, text)
+    assert (each.sent, each.trouble) == (sent, '')
+    assert {name: value_of(each, name) for name in values} == values
+
+
+@pytest.mark.parametrize('link', LINKS)
+def test_damaged_frames_are_explained_with_all_their_bytes(link):
     for seed in range(20):
-        data = damaged_stream(link, seed, 40)
-        found = explain.explain(data, settings(link))
-        end, before = 0, b''
-        for raw in (each.frame.raw for each in found):
-            end += len(data[end:]) - len(data[end:].lstrip(b'\0')) if raw[:1] != b'\0' else 0
-            if data.startswith(raw, end):
-                end, before = end + len(raw), raw
-            else:
-                assert raw in before        # a whole frame inside an invalid one
-        assert not data[end:].strip(b'\0')
+        found = explain.explain(damaged_stream(link, seed, 40), settings(link))
         invalid = [each for each in found if each.frame.cause]
         assert invalid and all(each.trouble and '\n' not in each.trouble for each in invalid)
         for each in found:
             check_whole(each.frame.raw, each.parts)
-
-
-@pytest.mark.parametrize('link', LINKS)
-def test_an_incomplete_frame_is_explained_as_far_as_it_goes(link):
-    for data in FRAMES[link]:
-        for size in range(1, min(len(data), 40)):
-            assert any(each.trouble for each in explain.explain(data[:size], settings(link)))
 
 
 def test_what_is_missing_or_wrong_is_said():
@@ -165,17 +119,6 @@ LINES = {'bus': explainer('bus'), 'bus, sent': explainer('bus', True), 'mcu': ex
          'bus with CMD2': explainer('bus', reply_has_cmd2=True), 'arduino': explainer('arduino'),
          'arduino, sent': explainer('arduino', True),
          'scale': Explainer(Settings(crane_scale.DESCRIPTION, 0), False)}
-
-
-@pytest.mark.parametrize('frame', [
-    arduino.encode(arduino.Imu(16384, 0, 0, 0, *range(7))), arduino.encode_raw(1, b'x' * 255),
-    arduino.encode_raw(1, b'x' * 253 + b'\0')], ids=['IMU', 'longest', 'long COBS code'])
-def test_a_packet_has_missing_parts_until_it_is_complete(frame):
-    for size in range(1, len(frame) + 1):
-        parts = LINES['arduino'].parts(frame[:size])
-        check_whole(frame[:size], parts)
-        assert any(part.missing for part in parts) == (size < len(frame))
-    assert not any(part.error for part in parts)
 
 
 @pytest.mark.parametrize('line', LINES)

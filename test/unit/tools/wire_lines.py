@@ -1,9 +1,7 @@
 """What the tests of `wire` share: vectors, damaged streams, and the settings of a link."""
-import json
-import os
 import random
 
-from lines import ROOT
+from decoding import vectors
 from serial_communication.boards import description
 from serial_communication.simulation.faults import Faults, parse
 from serial_communication.tools.wire.lines import Settings
@@ -11,20 +9,11 @@ from serial_communication.tools.wire.lines import Settings
 LINKS = ('bus', 'arduino', 'mcu')
 
 
-def vectors(protocol):
-    """The byte-exact vectors of one protocol."""
-    path = os.path.join(ROOT, 'test', 'unit', 'boards', 'vectors', protocol + '.json')
-    with open(path, encoding='utf-8') as file:
-        return json.load(file)
-
-
 BUS = vectors('robot_ctrl_bus')
-MCU = vectors('mcu')['frames']
-ARDUINO = vectors('arduino')['packets']
 # Frames of both directions.
 FRAMES = {link: [bytes.fromhex(case[key]) for case in cases] for link, key, cases in (
-    ('bus', 'frame', BUS['requests'] + BUS['replies']), ('mcu', 'frame', MCU),
-    ('arduino', 'wire', ARDUINO))}
+    ('bus', 'frame', BUS['requests'] + BUS['replies']),
+    ('mcu', 'frame', vectors('mcu')['frames']), ('arduino', 'wire', vectors('arduino')['packets']))}
 
 
 def damaged_stream(link, seed, count):
