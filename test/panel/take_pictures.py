@@ -14,10 +14,8 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / 'ros'), str(Path(__file__).parent)]
 
-import square_picture  # noqa: E402
-import stamps_picture  # noqa: E402
-import tuning_picture  # noqa: E402
-from boards import Line, program  # noqa: E402
+import measured_pictures  # noqa: E402
+from boards import program  # noqa: E402
 from panel_browser import Browser  # noqa: E402
 from robot import NODE, Core, Panel  # noqa: E402
 
@@ -107,7 +105,7 @@ def take_rviz(out):
 
 
 def take_intact(browser, folder, out):
-    """Take the page, an animation of it, and the terminal. rviz would take the processor."""
+    """Take an animation of the page, and the terminal. rviz would take the processor."""
     with contextlib.ExitStack() as stack:
         stack.enter_context(running('roslaunch', 'serial_communication', 'bridge.launch',
                                     'sim:=true'))
@@ -119,23 +117,8 @@ def take_intact(browser, folder, out):
         browser.wait(lambda page: page.attribute('[data-link="bus"]', 'data-health') == 'ok',
                      'the bridge runs', 60)
         time.sleep(HISTORY)
-        for form, button in (('~gimbal', 2), ('~lift', 1)):
-            browser.click(f'[data-form="{form}"] button:nth-of-type({button})')
-        browser.wait(lambda page: page.text('.answers').count('done') == 2, 'they are answered')
-        save(browser.picture(), out / 'panel.png')
         animate(browser, out / 'panel.gif')
         take_terminal(browser, folder, out)
-
-
-def take_stamps(browser, folder, out):
-    """Take the picture of stamps."""
-    line = Line(str(folder / 'stamps')).plug()
-    points = stamps_picture.measure(line)
-    line.unplug()
-    path = folder / 'stamps.html'
-    path.write_text(stamps_picture.page(points))
-    browser.open(path.as_uri())
-    save(browser.picture('svg'), out / 'board_time.png')
 
 
 def main():
@@ -145,10 +128,9 @@ def main():
     browser = Browser()
     with tempfile.TemporaryDirectory(prefix='pictures_') as folder:
         try:
-            (out / 'diff_drive_square.svg').write_text(
-                square_picture.picture(*square_picture.measure()))
-            tuning_picture.make(out)
-            take_stamps(browser, Path(folder), out)
+            (out / 'diff_drive_square.svg').write_text(measured_pictures.square())
+            (out / 'tuning.svg').write_text(measured_pictures.tuning())
+            (out / 'board_time.svg').write_text(measured_pictures.stamps())
             take_intact(browser, Path(folder), out)
             take_rviz(out)
         finally:

@@ -157,13 +157,6 @@ def test_an_old_command_is_refused_but_stop_never(panel, age):
     until(lambda: [name for name, *_ in panel.called] == [NODE + '/stop'], 'it is called')
 
 
-def test_calls_under_way_do_not_keep_a_stop_back(panel):
-    for number in range(20):
-        panel.commands.send(f'call {number}', panel.now, '~bus/sync', {})
-    panel.commands.stop('stop')
-    until(lambda: NODE + '/stop' in [name for name, *_ in panel.called], 'it is called')
-
-
 def test_a_message_is_published_and_a_call_is_answered_with_its_reply(panel):
     panel.commands.send('1', panel.now, '~led', {'data': 'left'})
     assert panel.outlet.published[-1][1].data == 'left' and panel.entry('1')['outcome'] == 'sent'

@@ -210,14 +210,6 @@ def test_markup_in_a_text_is_shown_as_text(page, robot):
     assert 'pwned' not in page.title
 
 
-def test_the_page_shows_a_restart_of_the_bridge(page, robot):
-    robot.bridge.end()
-    page.wait(lambda page: 'no bridge ' + NODE in page.text('#trouble'), 'the page shows it')
-    robot.start_bridge()
-    page.wait(lambda page: page.text('#trouble') == '', 'the trouble is over')
-    page.wait(lambda page: page.attribute('[data-topic="~imu"]', 'data-state') == 'fresh', 'data')
-
-
 def test_the_page_goes_on_at_a_new_master(page, core):
     core.stop()
     page.wait(lambda page: 'no answer from the ROS master' in page.text('#trouble'), 'it shows it')
@@ -263,24 +255,4 @@ def test_a_page_of_another_site_can_neither_connect_nor_embed(chromium, panel):
     chromium.wait(lambda page: 'is not a name of this machine' in page.text('body'), 'refused',
                   doing=lambda: reach(chromium, url.replace('127.0.0.1', REBINDING)))
     server.shutdown()
-    chromium.errors()
-
-
-def test_the_page_needs_the_token_once(chromium, panel):
-    url, token = panel.url.split('#')
-    reach(chromium, url)
-    chromium.driver.delete_all_cookies()
-    reach(chromium, url)
-    chromium.wait(lambda page: 'open the address that the panel printed' in page.text(
-        '#trouble'), 'the page shows it')
-    chromium.script("location.hash = 'not-the-right-one'")
-    chromium.wait(lambda page: 'its token is wrong' in page.text('#trouble'), 'the page shows it')
-    chromium.script('location.hash = arguments[0]', token)
-    chromium.wait_for_text('#connection', 'live')
-    assert chromium.script('return location.href') == url
-    history = chromium.driver.execute_cdp_cmd('Page.getNavigationHistory', {})['entries']
-    assert not any(token in entry['url'] for entry in history)
-    chromium.open('about:blank')
-    chromium.open(url)
-    chromium.wait_for_text('#connection', 'live')
     chromium.errors()

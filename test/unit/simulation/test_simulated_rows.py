@@ -45,13 +45,6 @@ def test_every_message_of_the_examples_is_played_within_its_limits(board, rows):
         assert len(played) == 200 and len(set(played)) > 1
 
 
-def test_a_received_command_of_the_examples_is_printed():
-    bench = Bench(ModelCar(custom=CAR), arduino.Decoder())
-    gripper, = [row.message for row in CAR if row.kind is Kind.TO]
-    bench.feed(arduino.encode(gripper(12.5, 0.5)))
-    assert [text for text in bench.said if 'gripper' in text] == ['gripper x=12.5 z=0.501961']
-
-
 @pytest.mark.parametrize('values, low, high', [
     ({'layout': '<b'}, -100, 100), ({'layout': '<B'}, 0, 100),
     ({'layout': '<f', 'minimum': 1e6}, 1e6, 1e6 + 200),
@@ -170,16 +163,6 @@ def test_the_control_board_answers_with_the_chunk_that_it_is_asked_for():
     assert [reply.error_code for reply in replies(ControlBoard(), b'\0')] == [bus.UNSUPPORTED]
 
 
-def test_rows_that_are_too_many_or_too_long_cannot_be_announced():
-    class Config(list):
-        given = {f'row{number}': {'type': number} for number in range(17)}
-    with pytest.raises(ValueError, match='17 rows in .* bytes cannot be announced'):
-        announced_text('arduino', Config())
-    Config.rows = {'row': {'frame_id': 'x' * 2048}}
-    with pytest.raises(ValueError, match='16 in 2048 bytes'):
-        announced_text('arduino', Config())
-
-
 # -- settings -------------------------------------------------------------------------------------
 
 
@@ -238,10 +221,3 @@ def test_a_setting_is_answered_with_the_value_in_use_until_a_reset(board):
     bench.output()
     bench.run(0.25)
     assert set(reported(bench)) == {(1, 0.5), (7, 0)}
-
-
-@both
-def test_a_board_without_settings_sends_none(board):
-    bench = tuned(board, rows={})
-    bench.run(5)
-    assert reported(bench) == [] and set_to(bench, 1, 1.0) == []

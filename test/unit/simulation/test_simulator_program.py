@@ -10,34 +10,16 @@ from functools import partial
 
 import pytest
 from lines import ROOT
-from links import BusLink
 from programs import started
 from waiting import PATIENCE, until
 
 from serial_communication.boards.bus import wire as bus
-from serial_communication.boards.bus.simulator import ControlBoard
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.simulator import SensorBoard
 from serial_communication.simulation.board import Runner
 from serial_communication.simulation.own_pty import OwnPty
-from serial_communication.transport.port import Port
 
 SIMULATOR = [sys.executable, os.path.join(ROOT, 'scripts', 'simulator')]
-
-
-@pytest.mark.parametrize('arguments, says', [
-    ([], 'BOARD'), (['toaster'], 'no board toaster'), (['json'], "no attribute 'DESCRIPTION'"),
-    (['bus', '--port', 'x', '--link', 'y'], 'not allowed'), (['bus', '--port', ''], 'is empty'),
-    (['mcu', '--port', 'x', '--faults', 'flip=0.1 flap=1'], 'flap'),
-    (['bus', '--port', 'x', '--lift-speed', '0'], 'lift-speed'),
-    (['mcu', '--port', 'x', '--rate', 'fast'], 'rate'),
-    (['mcu', '--port', 'x', '--stall', '1'], 'stall'),
-    (['bus', '--port', 'nonsense://x'], 'nonsense')])
-def test_wrong_arguments_end_it_with_status_2_and_the_reason(arguments, says):
-    done = subprocess.run([*SIMULATOR, *arguments], timeout=PATIENCE, stderr=subprocess.PIPE,
-                          text=True)
-    assert done.returncode == 2 and 'Traceback' not in done.stderr
-    assert says in done.stderr.splitlines()[-1]
 
 
 class Running:
@@ -160,15 +142,3 @@ def test_a_board_goes_on_while_nobody_reads_it_and_leaves_nothing_old(tmp_path, 
             until(lambda: not runner.port.is_open, 'it sees that it is closed')
             count = line.frames
             until(lambda: line.frames > count + 5, 'the board goes on')
-
-
-def test_a_link_of_the_bridge_opens_it_again_and_again(tmp_path):
-    link = str(tmp_path / 'board')
-    with running(ControlBoard(lift_speed=2000), link):
-        for distance in 10, 20:
-            bridge = BusLink(Port(link))
-            bridge.start()
-            until(lambda: bridge.request(
-                bus.LIFT_FUNCTION.make_request((0, distance))).success, 'SYNC, and a move')
-            bridge.stop()
-            bridge.join(PATIENCE)
