@@ -1,35 +1,16 @@
-"""Fixtures for tests of links: a time limit, a check for running threads, a line, a log."""
-import faulthandler
+"""Fixtures for tests of links: a check for running threads, a line, a log."""
 import logging
-import signal
-import sys
 import threading
 import time
 
 import pytest
 
 from lines import Pty
-from waiting import PATIENCE
 
 from serial_communication.link import freshness
 from serial_communication.transport.port import Port
 
-_LIMIT = 2 * PATIENCE     # s for one test
 _NEVER = 1e9       # s
-
-
-@pytest.fixture(autouse=True)
-def time_limit():
-    """Let a test that hangs fail, and print where every thread was."""
-    def expired(_number, _frame):
-        faulthandler.dump_traceback(sys.__stderr__)
-        raise TimeoutError('the test took more than %g s' % _LIMIT)
-
-    before = signal.signal(signal.SIGALRM, expired)
-    signal.setitimer(signal.ITIMER_REAL, _LIMIT)
-    yield
-    signal.setitimer(signal.ITIMER_REAL, 0)
-    signal.signal(signal.SIGALRM, before)
 
 
 @pytest.fixture(autouse=True)

@@ -1,11 +1,7 @@
 """Headless Chromium, controlled through its driver."""
 import base64
 import contextlib
-import os
-import signal
-import subprocess
 import tempfile
-import time
 
 from boards import PATIENCE, until
 from selenium import webdriver
@@ -17,8 +13,7 @@ from selenium.webdriver.common.by import By
 
 _FLAGS = ('--headless=new', '--no-sandbox', '--disable-gpu', '--disable-quic', '--no-first-run',
           '--disable-background-networking', '--disable-component-update', '--disable-sync',
-          '--disable-dev-shm-usage', '--hide-scrollbars',
-          '--host-resolver-rules=MAP rebinding.example 127.0.0.1')
+          '--disable-dev-shm-usage', '--hide-scrollbars')
 
 
 class Browser:
@@ -35,7 +30,6 @@ class Browser:
         self.driver = webdriver.Chrome(options=options,
                                        service=Service('/usr/bin/chromedriver'))
         self.resize(width, height)
-        self.scheme('light')
 
     def quit(self):
         with contextlib.suppress(WebDriverException):    # it was killed
@@ -52,22 +46,13 @@ class Browser:
     def open(self, url):
         self.driver.get(url)
 
-    def resize(self, width, height, scale=1):
+    def resize(self, width, height):
         """Set the size of the page in CSS pixels."""
         self.driver.execute_cdp_cmd('Emulation.setDeviceMetricsOverride', {
-            'width': width, 'height': height, 'deviceScaleFactor': scale,
+            'width': width, 'height': height, 'deviceScaleFactor': 1,
             'mobile': width < 600})
 
-    def scheme(self, scheme):
-        """Set the preference of the system: light or dark."""
-        self.driver.execute_cdp_cmd('Emulation.setEmulatedMedia', {
-            'features': [{'name': 'prefers-color-scheme', 'value': scheme}]})
-
     # -- content ---------------------------------------------------------------------------
-
-    @property
-    def title(self):
-        return self.driver.title
 
     def script(self, text, *arguments):
         return self.driver.execute_script(text, *arguments)
@@ -85,10 +70,8 @@ class Browser:
         return self.script("return [...document.querySelectorAll(arguments[0])]"
                            ".map(each => each.innerText)", selector)
 
-    def picture(self, selector=''):
-        """A PNG of the visible page, or of one element."""
-        if selector:
-            return self.all(selector)[0].screenshot_as_png
+    def picture(self):
+        """A PNG of the visible page."""
         shot = self.driver.execute_cdp_cmd('Page.captureScreenshot', {'format': 'png'})
         return base64.b64decode(shot['data'])
 
@@ -108,9 +91,8 @@ class Browser:
         try:
             return until(holds, what, seconds, doing, every)
         except AssertionError as error:
-            raise AssertionError(f'{error}; the page is titled {self.title!r}, its answers are '
-                                 f'{self.texts(".answers li")}, its pad says '
-                                 f'{self.text("#pad-words")!r}') from None
+            raise AssertionError(f'{error}; its answers are {self.texts(".answers li")}, '
+                                 f'its pad says {self.text("#pad-words")!r}') from None
 
     def wait_for_text(self, selector, text):
         """Wait until the first element that matches has this text."""
@@ -150,55 +132,10 @@ class Browser:
     def release(self):
         self._actions().release().perform()
 
-    def key_down(self, key):
-        self._key('keyDown', key)
-
-    def key_up(self, key):
-        """Release a key."""
-        self._key('keyUp', key)
-
-    def _key(self, what, key):
-        name, number = {'\ue012': ('ArrowLeft', 37), '\ue013': ('ArrowUp', 38),
-                        '\ue014': ('ArrowRight', 39)}[key]
-        self.key_event(what, name, name, windowsVirtualKeyCode=number)
-
-    def key_event(self, what, key, code, **more):
-        """Send a key event.
-
-        Args:
-            what: keyDown or keyUp.
-            key, code: the key by its text and by its position.
-            more: further arguments of Input.dispatchKeyEvent.
-        """
+    def key(self, what, name, number):
+        """Press or release a key (Down or Up), by its name and its Windows key code."""
         self.driver.execute_cdp_cmd('Input.dispatchKeyEvent', {
-            'type': what, 'key': key, 'code': code, **more})
-
-    @contextlib.contextmanager
-    def frozen(self):
-        """Inside this block, no process of the browser runs; the value is when it began."""
-        processes = self._processes()
-        began = time.monotonic()
-        self._send(signal.SIGSTOP, processes)
-        try:
-            yield began
-        finally:
-            self._send(signal.SIGCONT, processes)
-
-    @staticmethod
-    def _send(number, processes):
-        for process in processes:
-            with contextlib.suppress(ProcessLookupError):    # it has ended, perhaps with another
-                os.kill(process, number)
-
-    def _processes(self):
-        """The ids of the browser's processes: the descendants of its driver."""
-        table = [line.split() for line in subprocess.check_output(
-            ['ps', '-eo', 'ppid,pid'], text=True).splitlines()[1:]]
-        found, new = [], [str(self.driver.service.process.pid)]
-        while new:
-            new = [pid for parent, pid in table if parent in new]
-            found += map(int, new)
-        return found
+            'type': f'key{what}', 'key': name, 'code': name, 'windowsVirtualKeyCode': number})
 
     @contextlib.contextmanager
     def other_tab(self):

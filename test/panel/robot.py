@@ -1,13 +1,11 @@
 """A master, a robot, and a panel that the tests in a browser share."""
 import os
 import re
-import signal
-import subprocess
 import threading
 
 import rosgraph
 import rospy
-from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, Output, SensorBoard, free_master,
+from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, Process, SensorBoard, free_master,
                     level_imu, program, ranges, until)
 
 from serial_communication.boards.arduino import DESCRIPTION, wire as arduino
@@ -29,9 +27,7 @@ class Core:
 
     def start(self):
         """Start it, and wait until it is complete."""
-        self._process = subprocess.Popen(
-            ['roscore', '-p', os.environ['ROS_MASTER_URI'].rsplit(':', 1)[1]],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self._process = Process('roscore', '-p', os.environ['ROS_MASTER_URI'].rsplit(':', 1)[1])
 
         def complete():
             return rosgraph.is_master_online() and any(
@@ -41,8 +37,7 @@ class Core:
 
     def stop(self):
         """Stop it, and wait until it has ended."""
-        self._process.send_signal(signal.SIGINT)
-        self._process.wait(PATIENCE)
+        self._process.end()
 
 
 class Robot:
@@ -90,25 +85,16 @@ class Robot:
         return [tuple(message) for message in self.car.messages(TWIST)]
 
 
-class Panel:
+class Panel(Process):
     """A panel in a process of its own. As a context it ends with its block, and has to end well."""
 
     def __init__(self, *arguments, name='panel'):
-        self._output = Output()
-        self.process = subprocess.Popen(
-            [program('panel'), '--port', '0', *arguments, '__name:=' + name],
-            stdout=self._output, stderr=subprocess.STDOUT)
-        self.url = until(lambda: re.search(r'http://\S+', self.output()) or
-                         self.process.poll() is not None, 'the panel prints its address').group()
+        super().__init__(program('panel'), '--port', '0', *arguments, '__name:=' + name)
+        self.url = re.search(r'http://\S+', self.wait_for('http://')).group()
 
     def __enter__(self):
         return self
 
     def __exit__(self, kind, *_):
-        self.process.send_signal(signal.SIGINT)
-        status = self.process.wait(PATIENCE)
+        status = self.end()
         assert kind or status == 0 and 'Traceback' not in self.output(), self.output()
-
-    def output(self):
-        """The output so far."""
-        return re.sub('\033\\[[0-9;]*m', '', self._output.text())

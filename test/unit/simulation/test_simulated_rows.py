@@ -59,18 +59,6 @@ def test_simulated_values_cover_their_range_and_stay_in_it(values, low, high):
     assert max(numbers) - min(numbers) >= 0.9 * (high - low)
 
 
-def test_no_value_is_played_sometimes_and_a_text_is_cut_to_its_place():
-    row, = car_messages({'any': dict(type=99, ros_type='a/B', layout='<Hh*', minimum=0,
-                                     fields=['a', 'b'], maximum=9, invalid=[65535, -1])})
-    texts = [row.layout.text(row.layout.unpack(row.layout.pack(
-        simulated_values(row.layout, tick / 10)))) for tick in range(100)]
-    assert sum('a=none' in text for text in texts) == 10
-    assert sum(text.partition('b=')[2].count('none') for text in texts) == 4 * 10
-    row, = car_messages({'any': dict(type=99, ros_type='a/B', layout='<3s2xs',
-                                     fields=['a', 'b'])})
-    assert simulated_values(row.layout, 5.0) == ('sim', 'simulated 5')
-
-
 @both
 def test_a_row_with_a_time_has_that_of_the_boards_clock(board):
     row, = description(board.NAME).read('messages', {'force': {

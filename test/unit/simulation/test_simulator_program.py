@@ -3,14 +3,13 @@ import contextlib
 import os
 import pty
 import signal
-import subprocess
 import sys
 import threading
 from functools import partial
 
 import pytest
 from lines import ROOT
-from programs import started
+from programs import Process, started
 from waiting import PATIENCE, until
 
 from serial_communication.boards.bus import wire as bus
@@ -22,29 +21,9 @@ from serial_communication.simulation.own_pty import OwnPty
 SIMULATOR = [sys.executable, os.path.join(ROOT, 'scripts', 'simulator')]
 
 
-class Running:
-    """A running simulator, which prints to a file."""
-
-    def __init__(self, folder, *arguments):
-        self._output = folder / 'output'
-        with open(self._output, 'w') as output:
-            self.process = subprocess.Popen([*SIMULATOR, *arguments], stdout=output,
-                                            stderr=subprocess.STDOUT)
-
-    def text(self):
-        return self._output.read_text()
-
-    def until_said(self, words):
-        until(lambda: words in self.text(), words)
-
-    def end(self, number=signal.SIGTERM):
-        self.process.send_signal(number)
-        return self.process.wait(PATIENCE)
-
-
 @pytest.fixture
-def start(tmp_path):
-    yield from started(partial(Running, tmp_path))
+def start():
+    yield from started(partial(Process, *SIMULATOR))
 
 
 @pytest.fixture
@@ -69,21 +48,21 @@ def assert_answers(descriptor):
 def test_a_signal_ends_a_working_simulator_cleanly(start, tty, number):
     simulator = start('arduino', '--port', tty[0], '--faults', 'all', '--seed', '3',
                       '__name:=car', '__log:=/tmp/x.log', 'a:=b')
-    simulator.until_said('open')
+    simulator.wait_for('open')
     assert os.read(tty[1], 1000)
     assert simulator.end(number) == 0
-    said = simulator.text()
+    said = simulator.output()
     assert 'seed 3, faults all' in said and 'frames; faults:' in said and 'Traceback' not in said
 
 
 def test_it_waits_for_an_absent_port(start, tty, tmp_path):
     name = tmp_path / 'port'
     simulator = start('bus', '--port', str(name))
-    simulator.until_said('waiting')
+    simulator.wait_for('waiting')
     name.symlink_to(tty[0])
-    simulator.until_said(': open')
+    simulator.wait_for(': open')
     assert_answers(tty[1])
-    assert simulator.end() == 0
+    assert simulator.end(signal.SIGTERM) == 0
 
 
 # -- on a pseudo terminal of its own ----------------------------------------------------------
@@ -93,7 +72,7 @@ def test_it_replaces_a_link_of_a_killed_one_and_removes_its_own(start, tmp_path)
     link = str(tmp_path / 'new' / 'folder' / 'board')
     for number, is_left in ((signal.SIGKILL, True), (signal.SIGTERM, False)):
         simulator = start('bus', '--link', link)
-        simulator.until_said('waiting for a program that opens it')
+        simulator.wait_for('waiting for a program that opens it')
         if not is_left:
             with open(link, 'r+b', buffering=0) as port:
                 assert_answers(port.fileno())
@@ -105,7 +84,7 @@ def test_it_replaces_no_other_file(start, tmp_path):
     path = tmp_path / 'file'
     path.write_text('mine')
     simulator = start('bus', '--link', str(path))
-    assert simulator.process.wait(PATIENCE) == 1 and 'File exists' in simulator.text()
+    assert simulator.ended() == 1 and 'File exists' in simulator.output()
     assert path.read_text() == 'mine'
 
 

@@ -39,10 +39,6 @@ def value_of(each, name):
     return found[0]
 
 
-def data_of(parts):
-    return b''.join(part.data for part in parts)
-
-
 # -- frames ---------------------------------------------------------------------------------------
 
 def check_whole(data, parts):

@@ -8,7 +8,7 @@ from functools import partial
 
 import pytest
 from lines import ROOT, Pty
-from programs import started
+from programs import Process, started
 from waiting import PATIENCE, until
 
 from serial_communication.boards.mcu import wire as mcu
@@ -17,32 +17,19 @@ pytestmark = pytest.mark.slow
 PROGRAM = [sys.executable, ROOT + '/scripts/wire']
 
 
-class Listen:
-    """A running `wire listen`, with its output in files."""
-
-    def __init__(self, folder, link, port):
-        self.paths = [folder / 'stdout', folder / 'stderr']
-        with open(self.paths[0], 'w') as output, open(self.paths[1], 'w') as errors:
-            self.process = subprocess.Popen([*PROGRAM, 'listen', link, str(port)],
-                                            stdout=output, stderr=errors)
-
-    def until_said(self, words, count=1):
-        until(lambda: self.paths[1].read_text().count(words) >= count, words)
-
-    def shown(self, board, data, count):
-        """Write data to a port; return the lines of the program when there are so many."""
-        board.write(data)
-        return until(lambda: [self.paths[0].read_text().splitlines()] if self.paths[
-            0].read_text().count('\n') == count else None, f'{count} lines')[0]
-
-    def end(self, number=signal.SIGINT):
-        self.process.send_signal(number)
-        return self.process.wait(PATIENCE)
-
-
 @pytest.fixture
-def start(tmp_path):
-    yield from started(partial(Listen, tmp_path))
+def start():
+    yield from started(partial(Process, *PROGRAM, 'listen', 'mcu'))
+
+
+def shown(program, board, data, count):
+    """Write data to a port; return the lines of frames when there are so many."""
+    board.write(data)
+
+    def lines():
+        return [line for line in program.output().splitlines() if re.match(r'\d\d:', line)]
+    until(lambda: len(lines()) == count, f'{count} lines')
+    return lines()
 
 
 @pytest.fixture
@@ -57,9 +44,9 @@ def status(number):
 
 
 def test_listen_shows_every_frame_and_writes_nothing(board, start):
-    program = start('mcu', board.path)
-    program.until_said('open')
-    lines = program.shown(board, status(1) + b'\x11\x22' + status(2) + status(3)[:7], 4)
+    program = start(board.path)
+    program.wait_for('open')
+    lines = shown(program, board, status(1) + b'\x11\x22' + status(2) + status(3)[:7], 4)
     found = [re.fullmatch(r'\d\d:\d\d:\d\d\.\d{6} +(\+\S+ ms)? +((?:[0-9a-f]{2} )+) +(.*)', line)
              for line in lines]
     assert [bytes.fromhex(each.group(2)) for each in found] == [
@@ -69,19 +56,19 @@ def test_listen_shows_every_frame_and_writes_nothing(board, start):
     assert found[0].group(3).startswith('sensor status')
     assert board.read() == b''
     assert program.end() == 0
-    program.until_said('4 frames, 2 of them invalid')
+    program.wait_for('4 frames, 2 of them invalid')
 
 
 def test_listen_waits_for_a_port_and_opens_it_again(tmp_path, start):
     board = Pty(tmp_path / 'late')
-    program = start('mcu', board.path)
-    program.until_said('waiting for it')
+    program = start(board.path)
+    program.wait_for('waiting for it')
     for count in (1, 2):
         board.plug()
-        program.until_said('late: open', count)
-        program.shown(board, status(count), count)
+        until(lambda: program.output().count('late: open') == count, 'open')
+        shown(program, board, status(count), count)
         board.unplug()
-        program.until_said('the device has gone', count)
+        until(lambda: program.output().count('the device has gone') == count, 'gone')
     assert program.end(signal.SIGTERM) == 0
 
 

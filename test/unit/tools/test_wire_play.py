@@ -8,11 +8,10 @@ import pytest
 import rosbag
 import rospy
 from lines import ROOT, Pty
-from serial_communication.boards.bus import wire as bus
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.msg import SerialMsg
 from serial_communication.tools.wire import play
-from waiting import PATIENCE, until
+from waiting import PATIENCE
 from wire_lines import settings
 
 PROGRAM = [sys.executable, ROOT + '/scripts/wire']
@@ -67,16 +66,6 @@ def test_the_whole_frames_of_the_board_are_sent_at_their_intervals(recording, tm
     assert (done.returncode, done.stdout) == (0, '') and time.monotonic() - began > 0.36
     assert done.stderr == '4 frames; 3 invalid ones are left out\n'
     assert far.read_all() == b''.join(WHOLE)
-
-
-def test_what_the_port_receives_is_dropped_and_a_port_that_nothing_reads_is_named(tmp_path, far):
-    file = bag_of(tmp_path / 'a.bag', [(0.0, status(0)), (0.5, status(1))])
-    far.write(bytes(4000))
-    assert run(file, 'mcu', far.path).returncode == 0
-    until(lambda: far.read(), 'it was sent')
-    many = printed(tmp_path / 'many.txt', [(0.0, bus.encode_reply(bus.Reply(2, bytes(999))))] * 99)
-    done = run(many, 'bus', far.path)
-    assert done.returncode == 1 and 'nothing reads the other end' in done.stderr
 
 
 def test_a_file_that_cannot_be_played_is_reported_in_one_line(tmp_path):
