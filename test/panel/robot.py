@@ -1,20 +1,21 @@
 """A master, a robot, and a panel that the tests in a browser share."""
 import os
 import re
-import threading
 
 import rosgraph
 import rospy
 from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, Process, SensorBoard, free_master,
-                    level_imu, program, ranges, until)
+                    program, until)
 
-from serial_communication.boards.arduino import DESCRIPTION, wire as arduino
+from serial_communication.boards.arduino import DESCRIPTION
 
 NODE = '/serial_communication'
 ROWS = {'cmd_vel': {'type': 41, 'direction': 'to_board', 'ros_type': 'geometry_msgs/Twist',
                     'layout': '<ff', 'fields': ['linear.x', 'angular.z']}}
-CUSTOM = DESCRIPTION.read('messages', ROWS)
-TWIST = CUSTOM[0].message
+SETTINGS = {'kp': {'setting': 1, 'layout': '<f', 'minimum': 0, 'maximum': 10, 'unit': '1/s',
+                   'description': 'proportional gain'}}
+MESSAGES = DESCRIPTION.read('messages', ROWS)
+TWIST = MESSAGES[0].message
 
 
 class Core:
@@ -47,10 +48,9 @@ class Robot:
         self.lines = {name: Line(os.path.join(folder, name)).plug()
                       for name in ('bus', 'arduino', 'mcu')}
         self.bus = BusBoard(self.lines['bus'].far)
-        self.car = CarBoard(self.lines['arduino'].far, custom=CUSTOM)
-        self.sensors = SensorBoard(self.lines['mcu'].far)
-        self._ended = threading.Event()
-        threading.Thread(target=self._send, daemon=True).start()
+        self.car = CarBoard(self.lines['arduino'].far, measures=True, custom=MESSAGES,
+                            settings=DESCRIPTION.read('settings', SETTINGS))
+        self.sensors = SensorBoard(self.lines['mcu'].far, measures=True)
         self.start_bridge()
 
     def start_bridge(self):
@@ -58,26 +58,16 @@ class Robot:
         self.bridge = Bridge(parameters={
             **{f'{name}/port': line.near for name, line in self.lines.items()},
             'bus/environment_period': 0.2,
-            'arduino/settings': {'kp': {'setting': 1, 'layout': '<f', 'minimum': 0, 'maximum': 10,
-                                        'unit': '1/s', 'description': 'proportional gain'}},
-            'arduino/messages': ROWS})
+            'arduino/settings': SETTINGS, 'arduino/messages': ROWS})
         rospy.wait_for_service(NODE + '/calibrate_imu', PATIENCE)
 
     def end(self):
         """End the bridge, the boards and the lines."""
-        self._ended.set()
         self.bridge.end()
         for board in (self.bus, self.car, self.sensors):
             board.close()
         for line in self.lines.values():
             line.unplug()
-
-    def _send(self):
-        while not self._ended.wait(0.02):
-            for message in (level_imu(), arduino.Voltage(7.4), arduino.Ticks(3),
-                            arduino.SteeringAngle(600)):
-                self.car.say(message)
-            self.sensors.say(ranges())
 
     @property
     def twists(self):

@@ -1,5 +1,6 @@
 """The page in a real browser, with bytes at the board: what a newcomer tries first."""
 import contextlib
+import re
 import time
 
 import rospy
@@ -8,6 +9,7 @@ from geometry_msgs.msg import Twist, Vector3
 from robot import NODE
 
 from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import wire as bus
 
 
 @contextlib.contextmanager
@@ -45,7 +47,8 @@ def hold(page, drives, right=0, up=60):
 
 
 def test_the_values_of_the_boards_are_shown(page):
-    page.wait(lambda page: '7.40' in page.text('[data-topic="~voltage"] .value'), 'the voltage')
+    page.wait(lambda page: re.match(r'\d\.\d', page.text('[data-topic="~voltage"] .value')),
+              'the voltage')
     page.wait(lambda page: page.attribute('[data-link="bus"]', 'data-health') == 'ok', 'the bus')
     page.wait(lambda page: page.all('[data-topic="~imu"] .uplot'), 'the attitude is plotted')
     assert page.script('return location.hash') == ''
@@ -55,7 +58,7 @@ def test_a_form_calls_a_service(page, robot):
     page.wait(lambda page: page.all('[data-form="~lift"] button:enabled'), 'it may be called')
     page.click('[data-form="~lift"] button')
     page.wait(lambda page: 'done: lift up 20 mm' in page.text('.answers'), 'the answer')
-    assert robot.bus.asked(0x20)[-1:] == [bytes((0, 20))]
+    assert robot.bus.asked(bus.LIFT)[-1:] == [bytes((0, 20))]
 
 
 def test_stop_holds_against_another_program_until_another_page_releases_it(page, panel, robot):
