@@ -4,7 +4,7 @@ Tests and the judge use these decoders, so that an error in the package's decode
 hide itself. Each protocol is one function, `frame_at`, which returns the frame that begins at a
 given place of a stream. `decode` returns the frames that a decoder must find, and `all_frames` the
 valid frames at any place: no decoder may find others, whatever the damage is.
-test/boards/test_by_definition.py compares this file with the package.
+test/unit/boards compares this file with the package.
 """
 import struct
 from typing import Callable, List, NamedTuple, Optional, Tuple, Union

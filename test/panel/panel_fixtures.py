@@ -1,4 +1,4 @@
-"""One roscore, robot and panel for the tests in a browser."""
+"""One ROS master, robot and panel for the tests in a browser."""
 import os
 import sys
 import tempfile
@@ -13,14 +13,14 @@ os.environ['ASYNC_TEST_TIMEOUT'] = '60'      # s that tornado's tests may take, 
 
 @pytest.fixture(scope='session')
 def core():
-    """A roscore; this process is a node."""
+    """A ROS master; this process is a node."""
     from robot import Core
-    core = Core()
+    core = Core().start()
     import rospy
     rospy.init_node('panel_test', disable_signals=True)
     yield core
     rospy.signal_shutdown('the tests are over')
-    core.stop()
+    core.end()
 
 
 @pytest.fixture(scope='session')

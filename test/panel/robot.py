@@ -1,11 +1,10 @@
-"""A master, a robot, and a panel that the tests in a browser share."""
+"""A master, a robot and a panel that the tests in a browser share."""
 import os
 import re
 
-import rosgraph
 import rospy
-from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, Process, SensorBoard, free_master,
-                    program, until)
+from boards import (PATIENCE, Bridge, BusBoard, CarBoard, Line, Master, Process, SensorBoard,
+                    program)
 
 from serial_communication.boards.arduino import DESCRIPTION
 
@@ -18,27 +17,17 @@ MESSAGES = DESCRIPTION.read('messages', ROWS)
 TWIST = MESSAGES[0].message
 
 
-class Core:
-    """A roscore of its own; it sets ROS_MASTER_URI."""
-
-    def __init__(self):
-        os.environ['ROS_MASTER_URI'] = free_master()
-        os.environ['ROS_HOSTNAME'] = 'localhost'
-        self.start()
+class Core(Master):
+    """A ROS master of its own, and the node that collects the log; it sets ROS_MASTER_URI."""
 
     def start(self):
-        """Start it, and wait until it is complete."""
-        self._process = Process('roscore', '-p', os.environ['ROS_MASTER_URI'].rsplit(':', 1)[1])
+        os.environ.update(ROS_MASTER_URI=self.uri, ROS_HOSTNAME='localhost')
+        self._rosout = Process('rosrun', 'rosout', 'rosout')
+        return super().start()
 
-        def complete():
-            return rosgraph.is_master_online() and any(
-                name == '/rosout' for name, _nodes in
-                rosgraph.Master('/panel_test').getSystemState()[1])
-        until(complete, 'roscore is complete', every=0.1)
-
-    def stop(self):
-        """Stop it, and wait until it has ended."""
-        self._process.end()
+    def end(self):
+        self._rosout.kill()
+        super().end()
 
 
 class Robot:

@@ -124,7 +124,7 @@ def take_intact(browser, folder, out):
 def main():
     """Take all pictures."""
     out = Path(sys.argv[1])
-    core = Core()
+    core = Core().start()
     browser = Browser()
     with tempfile.TemporaryDirectory(prefix='pictures_') as folder:
         try:
@@ -135,7 +135,7 @@ def main():
             take_rviz(out)
         finally:
             browser.quit()
-            core.stop()
+            core.end()
 
 
 if __name__ == '__main__':

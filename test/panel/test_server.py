@@ -1,7 +1,6 @@
 """The server, without a browser and without ROS; the clock is the test's."""
 import asyncio
 import json
-import socket
 from types import SimpleNamespace
 from unittest import mock
 
@@ -13,7 +12,7 @@ from tornado.websocket import websocket_connect
 from serial_communication.tools.panel.driving import CommandRefused
 from serial_communication.tools.panel.news import News
 from serial_communication.tools.panel.pages import Hub, Page
-from serial_communication.tools.panel.server import application, is_of, is_own, own_names
+from serial_communication.tools.panel.server import application, is_of, is_own
 
 NAMES = {'0.0.0.0', 'robot', 'robot.local'}
 TOKEN = 'a-token-of-the-tests'
@@ -196,11 +195,6 @@ class PagesTest(ServerTest):
     *(((), host, False) for host in ('robot', '192.168.1.7', 'evil.example'))])
 def test_only_names_of_this_machine_are_hosts(names, host, allowed):
     assert is_own(host, names) is allowed
-
-
-def test_on_loopback_no_name_counts():
-    assert not own_names('127.0.0.1') and not own_names('localhost')
-    assert socket.gethostname().lower() in own_names('0.0.0.0')
 
 
 @pytest.mark.parametrize('origin, host, same', [

@@ -204,7 +204,7 @@ def test_markup_in_a_text_is_shown_as_text(page, robot):
 
 
 def test_the_page_goes_on_at_a_new_master(page, core):
-    core.stop()
+    core.end()
     page.wait(lambda page: 'no answer from the ROS master' in page.text('#trouble'), 'it shows it')
     core.start()
     page.wait(lambda page: page.text('#trouble') == '', 'the trouble is over')

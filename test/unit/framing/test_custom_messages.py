@@ -84,12 +84,6 @@ def test_an_empty_field_leaves_a_value_out():
     assert kind(99, 5).pack() == b'\0\5\0'
 
 
-def test_rows_with_the_same_constants_mean_the_same_though_one_is_no_number():
-    rows = [one(dict(FORCE, constants={'current': float('nan'), 'cells': [float('nan'), 1.0],
-                                       'voltage': voltage})) for voltage in (5.0, 5.0, 6.0)]
-    assert rows[0] == rows[1] != rows[2]
-
-
 # -- what is refused ------------------------------------------------------------------------------
 
 @pytest.mark.parametrize('layout, data', [
@@ -306,9 +300,3 @@ def test_a_layout_too_long_for_a_frame_takes_no_memory(layout):
     finally:
         tracemalloc.stop()
     assert most < 10**6
-
-
-def test_a_whole_scale_keeps_whole_numbers_and_has_to_fit_a_float():
-    assert message('<q', ['data'], scale=10**9).unpack(b'\7' + bytes(7)) == (7 * 10**9,)
-    with pytest.raises(RowError, match='scale is 1'):
-        message('<q', ['data'], scale=10**300)

@@ -78,13 +78,6 @@ def test_a_reset_sends_chatter_and_clears_the_state():
     bench.feed(SYNC)
     assert bench.run(100, until=lambda: len(bench.notes('boot')) == 2)
     assert not bench.board.synchronised
-    bench = car('reset=6/min')
-    logs = []
-    for _ in range(100):
-        bench.run(1)
-        logs += bench.messages(arduino.Text)
-    boots = len(bench.notes('boot'))
-    assert boots > 4 and logs.count(arduino.LOGS[1]('IMU ready')) == boots
 
 
 # -- repeating a run -----------------------------------------------------------

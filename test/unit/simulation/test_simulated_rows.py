@@ -126,16 +126,6 @@ def test_chunks_are_sent_ten_times_a_second_at_first_and_then_once(board, times)
     assert len(bench.messages(Chunk)) in (5, 6)
 
 
-def test_the_car_announces_often_again_when_heartbeats_come_back():
-    bench = Bench(ModelCar(announcement=TEXT), arduino.Decoder())
-    bench.run(10.0)
-    bench.output()
-    for _ in range(100):
-        bench.feed(arduino.encode(arduino.Heartbeat()))
-        bench.run(0.01)
-    assert len(bench.messages(Chunk)) in (9, 10, 11)
-
-
 def test_the_control_board_answers_with_the_chunk_that_it_is_asked_for():
     chunks = chunks_of(TEXT, 60)
     indices = [*reversed(range(len(chunks)))]

@@ -48,9 +48,3 @@ def test_a_board_on_a_noisy_line_is_recognised(name):
     STREAMS['arduino'][:len(arduino.encode(arduino.Ticks(0)))]])
 def test_other_bytes_are_nobodys(data):
     assert board_of(data) == ''
-
-
-def test_the_frames_behind_a_false_start_are_found():
-    """The announced length of a false start covers the frames behind it."""
-    frames = b''.join(mcu.encode(mcu.SensorStatus(4, 5, 6.0, 7.0, 8.0), seq) for seq in range(5))
-    assert board_of(bytes((mcu.STX, 200)) + frames) == 'mcu'
