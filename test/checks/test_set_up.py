@@ -47,9 +47,9 @@ def test_the_setup_of_the_prefix_is_sourced(run):
 
 
 @pytest.mark.parametrize('packages, status, asked', [
-    ('ros-core-python-dev socat', 1, 'update\n'),      # a system without ROS
-    ('socat cmake', 0, 'update\ninstall --no-install-recommends cmake\n')])
+    ('ros-core-python-dev socat', 1, 'update'),      # a system without ROS
+    ('socat cmake', 0, 'install --no-install-recommends cmake')])
 def test_a_system_without_a_package_is_named_with_the_page(run, tmp_path, packages, status, asked):
     done = run('install ' + packages)
     assert done.returncode == status and 'doc/install.md' in done.stdout + done.stderr
-    assert (tmp_path / 'asked').read_text() == asked
+    assert (tmp_path / 'asked').read_text().splitlines()[-1] == asked

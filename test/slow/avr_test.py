@@ -16,12 +16,12 @@ import rospy
 import rostest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'ros'))
-from boards import (NOT_SENT, Output, PACKAGE, PATIENCE, TIMEOUT, Topic, again_if_stalled,
-                    command_topic, service, until, until_in_step, wait_for_launch)
-from contract_published import PUBLISHED
-from contract_robot import resolved
-from serial_communication.msg import SpeedPWMCommand
-from serial_communication.srv import Gimbal, Lift
+from boards import (NOT_SENT, Output, PACKAGE, PATIENCE, TIMEOUT, Topic,  # noqa: E402
+                    again_if_stalled, command_topic, service, until, until_in_step, wait_for_launch)
+from contract_published import PUBLISHED  # noqa: E402
+from contract_robot import resolved  # noqa: E402
+from serial_communication.msg import SpeedPWMCommand  # noqa: E402
+from serial_communication.srv import Gimbal, Lift  # noqa: E402
 
 
 class Launched(unittest.TestCase):
