@@ -71,17 +71,6 @@ def test_a_setting_that_has_swallowed_a_counted_packet_ends_the_reach():
         assert frames[-2].cause and frames[-1].raw == TICKS and frames[-1].ticks is None
 
 
-@pytest.mark.parametrize('check', [True, False])
-@pytest.mark.parametrize('count', [0, 17, 200])
-def test_an_impossible_count_is_an_error(count, check):
-    frames = arduino.Decoder(check_plausibility=check).feed(time(1, count) + TICKS)
-    assert [(frame.cause, frame.ticks) for frame in frames] == [(IMPLAUSIBLE, None), ('', None)]
-
-
-def test_time_of_the_wrong_length_is_an_error():
-    assert arduino.Decoder().feed(arduino.encode_raw(254, b'\0\0\0\0'))[0].cause == LENGTH
-
-
 @pytest.mark.parametrize('end', ['reset', 'give_up'])
 def test_a_reconnect_or_an_incomplete_packet_ends_the_reach(end):
     decoder = arduino.Decoder()
