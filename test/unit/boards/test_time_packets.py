@@ -131,18 +131,6 @@ def test_a_row_prefers_its_own_time_and_is_counted():
     assert ticks_of(time(9, 2) + own + TICKS * 2, messages=[row.message]) == [9, 7, 9, None]
 
 
-@pytest.mark.parametrize('decoder, frames', [
-    (arduino.Decoder, [TICKS, arduino.encode(arduino.Voltage(12.0)), TICKS]),
-    (mcu.Decoder, [mcu.encode(STATUS, 1), mcu.encode(ADC, 2), mcu.encode(STATUS, 3)])])
-def test_a_frame_says_how_many_bytes_of_its_read_are_behind_it(decoder, frames):
-    made, (one, two, three) = decoder(), frames
-    assert [frame.behind for frame in made.feed(one + two + three)] == [
-        len(two + three), len(three), 0]
-    assert made.feed(one[:-1]) == []
-    assert [frame.behind for frame in made.feed(one[-1:] + two + three[:2])] == [len(two) + 2, 2]
-    assert [frame.behind for frame in made.feed(three[2:] + b'\0')] == [1]
-
-
 def test_bytes_behind_a_frame_are_those_of_its_own_read_inside_a_false_frame():
     decoder, wire = mcu.Decoder(), mcu.encode(STATUS, 1)
     assert decoder.feed(bytes((2, 200))) == []
