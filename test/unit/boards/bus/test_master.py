@@ -10,7 +10,7 @@ from serial_communication.boards.bus.call import MasterOptions
 from serial_communication.boards.bus.session import MasterSession
 from serial_communication.framing.announcement import Assembly
 from serial_communication.framing.layout import Layout, Value
-from serial_communication.framing.stream import Frame
+from serial_communication.framing.stream import FRAMING, Frame, invalid_frame
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT, Outcome
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.simulation.announcing import chunks_of
@@ -24,6 +24,8 @@ LOG = SparingLog('bus', logging.getLogger('master'))
 
 class Master(MasterSession):
     """In step with a board that answers each ECHO at once; other replies are the test's."""
+
+    echoes = True
 
     def __init__(self):
         super().__init__(LOG, MasterOptions())
@@ -41,7 +43,7 @@ class Master(MasterSession):
         """Send what is due."""
         for packet in self.due(self.now, True)[0]:
             self.sent.append(packet.message)
-            if packet.type == bus.ECHO:
+            if packet.type == bus.ECHO and self.echoes:
                 self.reply(bus.Reply(bus.ECHO, packet.data))
 
     def call(self, request, function):
@@ -68,6 +70,31 @@ def test_a_reply_that_its_row_does_not_allow_is_counted_and_no_success(data, cau
     master.reply(bus.Reply(bus.OK, data))
     assert (call.outcome.status, call.outcome.success) == (bus.OK, False)
     assert master.errors[cause] == 1
+
+
+@pytest.mark.parametrize('request_, function', [
+    (lift(0, 100), bus.LIFT_FUNCTION), (bus.Request(bus.FUNCTION, 0x30, b'x'), bus.RAW)])
+@pytest.mark.parametrize('code, then, status', [
+    (0x40, 'OK', TIMEOUT), (0x40, 'noise', TIMEOUT), (0x40, 'the port closes', TIMEOUT),
+    (0x20, 'OK', TIMEOUT), (0x20, 'ECHO', bus.INVALID), (0x40, 'ECHO', None)])
+def test_a_move_is_refused_only_if_nothing_but_an_echo_follows_the_invalid(
+        request_, function, code, then, status):
+    """Else the INVALID was perhaps for noise, and the move is done."""
+    master = Master()
+    call = master.call(request_, function)
+    master.echoes = False
+    master.reply(bus.Reply(bus.INVALID, bytes((code,))))
+    assert call.outcome is None and master.sent[-1].cmd1 == bus.ECHO
+    if then == 'noise':
+        master.damaged(invalid_frame(b'\xa5', FRAMING, then), master.now)
+    elif then == 'the port closes':
+        master.end(then, master.now)
+    else:
+        master.reply(bus.Reply(bus.OK) if then == 'OK'
+                     else bus.Reply(bus.ECHO, master.sent[-1].data))
+    master.run()
+    assert (call.outcome and call.outcome.status) == status
+    assert master.sent.count(request_) == (2 if status is None else 1)
 
 
 @pytest.mark.parametrize('keys, said', [
