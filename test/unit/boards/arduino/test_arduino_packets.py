@@ -153,16 +153,15 @@ def cause_of(message):
     return '' if frames else IMPLAUSIBLE
 
 
-def test_steering_angles_over_1024_are_implausible():
-    assert [cause_of(arduino.SteeringAngle(value)) for value in (0, 1024, 1025, 65535)] == [
-        '', '', IMPLAUSIBLE, IMPLAUSIBLE]
-
-
-@pytest.mark.parametrize('volts, plausible', [
-    (0.0, True), (-0.0, True), (100.0, True), (14.8, True), (100.00001, False),
-    (-1e-9, False), (-1.0, False), (float('inf'), False), (float('-inf'), False), (1e38, False)])
-def test_voltages_outside_0_to_100_v_are_implausible(volts, plausible):
-    assert bool(cause_of(arduino.Voltage(volts))) != plausible
+@pytest.mark.parametrize('message, plausible', [
+    *((arduino.SteeringAngle(value), value <= 1024) for value in (0, 1024, 1025, 65535)),
+    *((arduino.Voltage(volts), True) for volts in (0.0, -0.0, 100.0, 14.8)),
+    *((arduino.Voltage(volts), False) for volts in (
+        100.00001, -1e-9, -1.0, math.inf, -math.inf, 1e38)),
+    (arduino.Imu(16384, 0, 0, 0, *[-32768] * 7), True), (arduino.Ticks(255), True)])
+def test_angles_up_to_1024_and_0_to_100_v_are_plausible_and_other_values_have_no_limits(
+        message, plausible):
+    assert bool(cause_of(message)) != plausible
 
 
 def test_a_nan_voltage_is_implausible():
@@ -181,11 +180,6 @@ def test_a_plausible_quaternion_has_a_norm_within_5_percent_of_1(part, value, pl
     fields = [0] * 11
     fields[part] = value
     assert bool(cause_of(arduino.Imu(*fields))) != plausible
-
-
-def test_other_values_have_no_limits():
-    assert not cause_of(arduino.Imu(16384, 0, 0, 0, *[-32768] * 7))
-    assert not cause_of(arduino.Ticks(255))
 
 
 # -- texts ----------------------------------------------------------------------------------------

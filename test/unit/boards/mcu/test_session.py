@@ -2,6 +2,7 @@
 import logging
 
 import pytest
+from board_rows import mcu_messages
 
 from serial_communication.boards.mcu import wire as mcu
 from serial_communication.boards.mcu.session import SensorSession
@@ -70,3 +71,14 @@ def test_an_announcement_is_no_sign_of_life():
         session.receive(chunk, seq)
     assert texts == [text] and not session.talks(0.0)
     assert session.wait(0.3) == [(None, 0, 0.2, 0.2)]
+
+
+def test_values_of_a_row_that_the_board_has_not_announced_are_held_back_and_counted():
+    session = Session()
+    row, = mcu_messages({'force': {
+        'type': 32, 'ros_type': 'std_msgs/Float32', 'layout': '<h', 'fields': ['data']}})
+    message = row.message
+    message.ANNOUNCED = True
+    session.decoder.add_message(message)
+    session.receive(message(1), 1)
+    assert session.got == [] and session.announcement.held_back == 1
