@@ -85,6 +85,13 @@ def test_the_wire_time_up_to_the_read_is_taken_off_but_on_a_network(has_baud, on
     assert car.measure(late, more) == pytest.approx(10 * DELAY - on_the_wire, abs=1e-4)
 
 
+def test_the_clock_is_learnt_anew_where_the_link_begins_anew(car):
+    car.settle()
+    assert car.measure(0.02) < 0.01
+    car.link.receiver.reset()
+    assert [car.measure(0.02) for _ in range(9)] == pytest.approx([0.02] * 9)
+
+
 def test_a_frame_over_1_s_late_has_the_stamp_of_its_read_and_is_counted_and_logged(car, caplog):
     car.settle()
     car.now += 0.9

@@ -27,8 +27,8 @@ class Master(MasterSession):
 
     echoes = True
 
-    def __init__(self):
-        super().__init__(LOG, MasterOptions())
+    def __init__(self, **options):
+        super().__init__(LOG, MasterOptions(**options))
         self.now, self.sent = 100.0, []
         self.begin(self.now, is_opening=True)
         self.run()
@@ -70,6 +70,16 @@ def test_a_reply_that_its_row_does_not_allow_is_counted_and_no_success(data, cau
     master.reply(bus.Reply(bus.OK, data))
     assert (call.outcome.status, call.outcome.success) == (bus.OK, False)
     assert master.errors[cause] == 1
+
+
+def test_without_echo_an_ok_with_data_is_the_reply_to_another_request():
+    master = Master(echo=False)
+    master.now += 0.6       # a silence is the fence
+    call = master.call(lift(0, 100), bus.LIFT_FUNCTION)
+    master.reply(bus.Reply(bus.OK, AIR))
+    assert master.sent[-1] == lift(0, 100) and call.outcome is None
+    master.reply(bus.Reply(bus.OK))
+    assert call.outcome.success
 
 
 @pytest.mark.parametrize('request_, function', [
