@@ -32,12 +32,6 @@ class ArduinoLink(Link):
     def set_speed(self, value):
         self.command(wire.SpeedCommand(value))
 
-    def set_steering(self, value):
-        self.command(wire.SteeringCommand(value))
-
-    def set_led(self, text):
-        self.command(wire.LedCommand(text))
-
 
 class McuLink(Link):
     """A link to the sensor board; likewise."""

@@ -36,6 +36,14 @@ def again_if_stalled(attempt, tries=5):
     raise AssertionError(f'failed {tries} times in a row: {attempt.__name__}')
 
 
+def all_of(read, size):
+    """So many bytes, in as many reads as that takes; fewer after `PATIENCE` s."""
+    data, deadline = b'', time.monotonic() + PATIENCE
+    while len(data) < size and time.monotonic() < deadline:
+        data += read(0.1)
+    return data
+
+
 class Waiter(threading.Thread):
     """Runs a blocking call in a thread, so that the test can act meanwhile."""
 

@@ -1,6 +1,6 @@
 """Links with their threads on real ttys: races of threads, other programs, and the end.
 
-What follows from rules is in test/sim and test/boards, where the time is that of the test.
+What follows from rules is in test/sim and test/unit, where the time is that of the test.
 """
 import contextlib
 import fcntl
@@ -17,10 +17,9 @@ import serial.serialposix
 from waiting import Waiter, until
 
 from serial_communication.boards.arduino import wire as arduino
-from links import ArduinoLink
+from links import ArduinoLink, McuLink
 from serial_communication.boards.arduino.session import CarOptions
 from serial_communication.boards.mcu import wire as mcu
-from links import McuLink
 from serial_communication.link.session import ERROR, Refused
 from serial_communication.transport import open_port
 from serial_communication.transport.port import Port
@@ -41,15 +40,15 @@ def packets(data):
 
 
 @pytest.fixture
-def car(line, logger, running):
-    link = running(ArduinoLink(Port(line.path), CarOptions(speed_timeout=0.0), logger=logger))
+def car(line, running):
+    link = running(ArduinoLink(Port(line.path), CarOptions(speed_timeout=0.0)))
     until(lambda: link.session.heartbeats.sent)
     return link
 
 
 @pytest.fixture
-def sensors(line, logger, running):
-    link = running(McuLink(Port(line.path), logger=logger))
+def sensors(line, running):
+    link = running(McuLink(Port(line.path)))
     until(lambda: link.port.is_open)
     return link
 
@@ -208,13 +207,13 @@ def test_the_last_packet_of_a_bridge_that_ends_is_speed_0(line, car):
     until(lambda: received.endswith(STOP), doing=lambda: received.extend(line.read(0.05)))
 
 
-def test_an_ended_link_leaves_no_file_open(line, logger):
+def test_an_ended_link_leaves_no_file_open(line):
     def descriptors():
         return len(os.listdir('/proc/self/fd'))
 
     before = descriptors()
     for _ in range(3):
-        link = McuLink(Port(line.path), logger=logger)
+        link = McuLink(Port(line.path))
         link.start()
         until(lambda: link.port.is_open)
         link.stop()

@@ -6,10 +6,9 @@ import struct
 import subprocess
 import sys
 import termios
-import time
 
 import pytest
-from waiting import PATIENCE
+from waiting import all_of
 
 from serial_communication.transport import open_port, tty_settings
 from serial_communication.transport.port import Port
@@ -23,16 +22,6 @@ def stty(path, *arguments):
     """Run stty as a user does in another terminal."""
     return subprocess.run(['stty', '-F', path, *arguments], check=True, stdout=subprocess.PIPE,
                           universal_newlines=True).stdout
-
-
-def read_exactly(port, size):
-    """So many bytes from the port."""
-    data = b''
-    deadline = time.monotonic() + PATIENCE
-    while len(data) < size:
-        assert time.monotonic() < deadline, data
-        data += port.read(0.1)
-    return data
 
 
 @pytest.mark.parametrize('arguments', [
@@ -49,7 +38,7 @@ def test_settings_changed_by_another_program_are_told_and_restored(port, line, a
     assert stty(line.path, '-g') == before
     assert not port.changed_settings(), 'reported twice'
     line.write(EVERY_BYTE)
-    assert read_exactly(port, 256) == EVERY_BYTE
+    assert all_of(port.read, 256) == EVERY_BYTE
     port.write(EVERY_BYTE)
     assert line.read_all() == EVERY_BYTE, 'changed bytes, or an echo'
 
@@ -68,7 +57,7 @@ def test_bytes_that_waited_under_other_settings_are_dropped(port, line):
     port.renew()
     line.read_all()
     line.write(b'later')
-    assert read_exactly(port, 5) == b'later'
+    assert all_of(port.read, 5) == b'later'
 
 
 # -- who may open it ------------------------------------------------------------------------------

@@ -141,23 +141,15 @@ def held_bytes(decoder):
 
 
 @every_decoder
+@pytest.mark.parametrize('end', [give_up, lambda decoder: decoder.reset()],
+                         ids=('give_up', 'reset'))
 @given(stream=spiteful)
-def test_giving_up_ends_with_nothing_pending(kind, stream):
+def test_nothing_is_pending_after_giving_up_or_a_reset_and_the_next_frames_are_found(
+        kind, end, stream):
     decoder = kind.make()
     decoder.feed(stream)
-    give_up(decoder)
+    end(decoder)
     assert not decoder.pending and decoder.give_up() == []
-    for wire in sample_wires(kind):
-        assert [frame.raw for frame in valid(decoder.feed(wire))] == [wire]
-
-
-@every_decoder
-@given(stream=spiteful)
-def test_reset_forgets_only_the_pending_bytes(kind, stream):
-    decoder = kind.make()
-    decoder.feed(stream)
-    decoder.reset()
-    assert not decoder.pending
     for wire in sample_wires(kind):
         assert [(frame.raw, frame.cause) for frame in decoder.feed(wire)] == [(wire, '')]
 

@@ -71,17 +71,6 @@ def test_a_setting_that_has_swallowed_a_counted_packet_ends_the_reach():
         assert frames[-2].cause and frames[-1].raw == TICKS and frames[-1].ticks is None
 
 
-@pytest.mark.parametrize('check', [True, False])
-@pytest.mark.parametrize('count', [0, 17, 200])
-def test_an_impossible_count_is_an_error(count, check):
-    frames = arduino.Decoder(check_plausibility=check).feed(time(1, count) + TICKS)
-    assert [(frame.cause, frame.ticks) for frame in frames] == [(IMPLAUSIBLE, None), ('', None)]
-
-
-def test_time_of_the_wrong_length_is_an_error():
-    assert arduino.Decoder().feed(arduino.encode_raw(254, b'\0\0\0\0'))[0].cause == LENGTH
-
-
 @pytest.mark.parametrize('end', ['reset', 'give_up'])
 def test_a_reconnect_or_an_incomplete_packet_ends_the_reach(end):
     decoder = arduino.Decoder()
@@ -140,18 +129,6 @@ def test_a_row_prefers_its_own_time_and_is_counted():
     row, = arduino_messages({'force': ROW})
     own = arduino.encode_raw(32, b'\4\0\7\0\0\0')
     assert ticks_of(time(9, 2) + own + TICKS * 2, messages=[row.message]) == [9, 7, 9, None]
-
-
-@pytest.mark.parametrize('decoder, frames', [
-    (arduino.Decoder, [TICKS, arduino.encode(arduino.Voltage(12.0)), TICKS]),
-    (mcu.Decoder, [mcu.encode(STATUS, 1), mcu.encode(ADC, 2), mcu.encode(STATUS, 3)])])
-def test_a_frame_says_how_many_bytes_of_its_read_are_behind_it(decoder, frames):
-    made, (one, two, three) = decoder(), frames
-    assert [frame.behind for frame in made.feed(one + two + three)] == [
-        len(two + three), len(three), 0]
-    assert made.feed(one[:-1]) == []
-    assert [frame.behind for frame in made.feed(one[-1:] + two + three[:2])] == [len(two) + 2, 2]
-    assert [frame.behind for frame in made.feed(three[2:] + b'\0')] == [1]
 
 
 def test_bytes_behind_a_frame_are_those_of_its_own_read_inside_a_false_frame():

@@ -1,10 +1,10 @@
 """Any valid rows and any values, in both directions: from the bytes of a packet to the fields of a
 ROS message that a subscriber gets, and from a published message to the bytes for the board."""
 import math
+import struct
 from io import BytesIO
 
 import pytest
-from custom_rows import encoded, layout_and_raws
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,6 +18,52 @@ from serial_communication.ros.rows import read_rows  # noqa: E402
 WHOLE = ('height', 'width', 'binning_x', 'binning_y', 'roi.x_offset', 'roi.height')   # uint32
 FRACTIONS = tuple(f'{name}[{index}]' for name in 'KP' for index in range(4))          # float64
 TRUTHS = ('roi.do_rectify',)
+
+_CODES = 'bBhHiIlLqQefd?'
+
+
+def encoded(layout, raws):
+    """The bytes of these raw numbers and texts.
+
+    `layout` has single characters and a last ``*`` or ``s``, but no counts and no padding.
+    """
+    data = b''
+    for code, raw in zip(layout[1:].replace('*', ''), raws):
+        for each in raw if isinstance(raw, list) else [raw]:
+            data += each.encode() if code == 's' else struct.pack(layout[0] + code, each)
+    return data
+
+
+def numbers(code):
+    """Any number of one of struct's codes."""
+    if code == '?':
+        return st.booleans()
+    bits = 8 * struct.calcsize('<' + code)
+    if code in 'efd':
+        return st.floats(width=bits, allow_nan=False)
+    low = -2 ** (bits - 1) if code.islower() else 0
+    return st.one_of(st.sampled_from((low, low + 2 ** bits - 1)),
+                     st.integers(low, low + 2 ** bits - 1))
+
+
+_TEXTS = st.text(st.characters(blacklist_characters='\0', blacklist_categories=('Cs',)),
+                 max_size=20)
+
+
+@st.composite
+def layout_and_raws(draw):
+    """A valid layout, and raw numbers for it."""
+    codes = draw(st.lists(st.sampled_from(_CODES), max_size=6))
+    layout, raws = draw(st.sampled_from('<>')) + ''.join(codes), [draw(numbers(c)) for c in codes]
+    ending = draw(st.sampled_from(('', '*', 's')))
+    if ending == '*':
+        code = draw(st.sampled_from(_CODES))
+        layout += code + '*'
+        raws.append(draw(st.lists(numbers(code), max_size=5)))
+    elif ending == 's':
+        layout += 's'
+        raws.append(draw(_TEXTS))
+    return layout, raws
 
 
 def published_as(ros_type, layout):

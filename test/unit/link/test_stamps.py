@@ -7,8 +7,6 @@ import pytest
 from board_rows import car_messages
 from serial_communication.boards.arduino import wire as arduino
 from links import ArduinoLink
-from serial_communication.boards.mcu import wire as mcu
-from links import McuLink
 from serial_communication.framing.board_time import LEAST_POINTS
 from serial_communication.transport.port import Port
 
@@ -17,29 +15,22 @@ GROUP = 12               # bytes of TIME and TICKS
 AHEAD = 5000.0           # s that the stamps are ahead of the monotonic clock
 PERIOD = 0.1             # s between two measurements
 DELAY = 0.002            # s from the measurement to the arrival of the last byte, at least
-ADC = mcu.AdcStatus(1, 2, 3, 4, 5, 6)
 KEYS = 'board clock [ppm]', 'read delay p50 [ms]', 'read delay max [ms]', 'clock errors'
 
 
 class Car:
-    """A link to the car, and a clock of the test: no thread, no port.
+    """A link to the car, and a clock of the test: no thread, no port."""
 
-    Args:
-        byte_time: s that a byte takes on the wire; 0.0: not known.
-    """
-
-    def __init__(self, logger, byte_time=BYTE, **options):
+    def __init__(self, has_baud=True, **options):
         self.got = []
-        self.link = ArduinoLink(Port('/dev/none'), logger=logger, on_message=lambda message, stamp:
-                                self.got.append((message, stamp)), **options)
-        self.link.port._opened = SimpleNamespace(has_baud=byte_time > 0.0)
+        self.link = ArduinoLink(Port('/dev/none'),
+                                on_message=lambda *got: self.got.append(got), **options)
+        self.link.port._opened = SimpleNamespace(has_baud=has_baud)
         self.now = 100.0
-        self.reset_at = 0.0
 
-    def time(self, count=16, ticks=None):
+    def time(self, count):
         """TIME with the board's time of now."""
-        return arduino.encode(arduino.Time(
-            round((self.now - self.reset_at) * 1e6) if ticks is None else ticks, count))
+        return arduino.encode(arduino.Time(round(self.now * 1e6), count))
 
     def read(self, wire, late=DELAY):
         """The link reads these bytes so many s later than now; return the stamps, by the
@@ -66,8 +57,8 @@ class Car:
 
 
 @pytest.fixture
-def car(logger):
-    return Car(logger)
+def car():
+    return Car()
 
 
 def test_the_stamp_is_that_of_the_read_until_the_clock_is_known_then_of_the_measurement(car):
@@ -85,38 +76,23 @@ def test_all_packets_of_one_time_have_one_stamp(car):
     assert stamps[3] == pytest.approx(car.now + 0.02)
 
 
-def test_the_wire_time_from_the_begin_of_the_frame_to_the_read_is_taken_off(car):
+@pytest.mark.parametrize('has_baud, on_the_wire', [(True, GROUP * BYTE), (False, 0.0)])
+def test_the_wire_time_up_to_the_read_is_taken_off_but_on_a_network(has_baud, on_the_wire):
+    car = Car(has_baud)
     more = arduino.encode(arduino.LOGS[1]('x' * 200))
-    late = 10 * DELAY + len(more) * BYTE
+    late = 10 * DELAY + len(more) * BYTE * has_baud
     car.settle(late=late, behind=more)
-    assert car.measure(late, more) == pytest.approx(10 * DELAY - GROUP * BYTE, abs=1e-4)
+    assert car.measure(late, more) == pytest.approx(10 * DELAY - on_the_wire, abs=1e-4)
 
 
-def test_no_stamp_is_after_its_read_nor_before_an_earlier_one(car):
-    newest = 0.0
-    for index in range(300):
-        car.now += PERIOD
-        late = DELAY + (index * 7919 % 50) / 1000
-        stamp, = car.read(car.time(1) + arduino.encode(arduino.Ticks(1)), late)
-        if index > LEAST_POINTS + 1:
-            assert newest <= stamp <= car.now + late + 1e-6
-            newest = stamp
-
-
-@pytest.mark.parametrize('forget', ['opened', 'reset of the board'])
-def test_the_clock_is_learnt_anew_after_the_port_was_opened_or_the_board_was_reset(car, forget):
+def test_the_clock_is_learnt_anew_where_the_link_begins_anew(car):
     car.settle()
     assert car.measure(0.02) < 0.01
-    if forget == 'opened':
-        car.link.receiver.reset()
-    else:
-        car.reset_at = car.now
+    car.link.receiver.reset()
     assert [car.measure(0.02) for _ in range(9)] == pytest.approx([0.02] * 9)
-    car.settle()
-    assert car.measure(0.04) < 0.03
 
 
-def test_a_frame_over_1_s_late_has_the_stamp_of_its_read_and_is_counted_and_logged(car, lines):
+def test_a_frame_over_1_s_late_has_the_stamp_of_its_read_and_is_counted_and_logged(car, caplog):
     car.settle()
     car.now += 0.9
     for late in (0.5, 0.9, 1.3):      # each less than 1 s after the one before
@@ -124,12 +100,10 @@ def test_a_frame_over_1_s_late_has_the_stamp_of_its_read_and_is_counted_and_logg
         got = car.read(car.time(1) + arduino.encode(arduino.Ticks(1)), late)
     assert got == pytest.approx([car.now + 1.3])
     assert car.values()['clock errors'] == 2      # TIME and its packet
-    assert len(lines('over 1 s old')) == 1
+    assert len(caplog.messages) == 1
 
 
 def test_diagnostics_show_the_clock_only_of_a_board_that_sends_its_time(car):
-    car.read(arduino.encode(arduino.Ticks(1)))
-    assert car.values() == {}
     car.measure()
     assert car.values() == {**dict.fromkeys(KEYS, '-'), 'clock errors': 0}
     car.settle(200)
@@ -140,17 +114,17 @@ def test_diagnostics_show_the_clock_only_of_a_board_that_sends_its_time(car):
     assert float(values['read delay max [ms]']) == pytest.approx(50, abs=3)
 
 
-def test_without_board_time_the_clock_is_ignored(logger):
-    car = Car(logger, board_time=False)
+def test_without_board_time_the_clock_is_ignored():
+    car = Car(board_time=False)
     assert [car.measure(0.02 if index % 2 else DELAY) for index in range(30)] == pytest.approx(
         [DELAY, 0.02] * 15)
     assert car.values() == {}
 
 
-def test_a_row_with_the_boards_time_has_its_stamp(logger):
+def test_a_row_with_the_boards_time_has_its_stamp():
     row, = car_messages({'force': {'type': 32, 'ros_type': 'a/B', 'layout': '<Ih',
                                    'fields': ['@time', 'x']}})
-    car = Car(logger, messages=[row.message])
+    car = Car(messages=[row.message])
     for _ in range(30):
         car.now += PERIOD
         car.read(arduino.encode(row.message(round(car.now * 1e6), 5)))
@@ -169,18 +143,12 @@ def test_a_step_of_the_clock_of_the_stamps_changes_no_difference(car):
         car.now += PERIOD
 
 
-def test_a_board_without_time_has_the_stamps_of_its_reads_themselves(logger):
+def test_a_board_without_time_has_the_stamps_of_its_reads_themselves():
     """The same objects, however late a read is; and nothing of a clock in /diagnostics."""
-    got, options = [], {'logger': logger, 'earlier': lambda *_: pytest.fail('it has no time')}
-    car = ArduinoLink(Port('/dev/none'), on_message=lambda message, stamp: got.append(stamp),
-                      **options)
-    sensors = McuLink(Port('/dev/none'), on_status=lambda message, seq, stamp: got.append(stamp),
-                      **options)
-    row = arduino.encode(arduino.Ticks(1)) + arduino.encode(arduino.Voltage(12.0))
+    car = Car(earlier=lambda *_: pytest.fail('it has no time'))
     for index in range(10 * LEAST_POINTS):
-        stamp, at = object(), 100.0 + index * PERIOD + index % 3 / 100
-        del got[:]
-        car.receiver.take(row, stamp, at)
-        sensors.receiver.take(mcu.encode(ADC, index), stamp, at)
-        assert len(got) == 3 and all(each is stamp for each in got)
-    assert not any(key in KEYS for link in (car, sensors) for key, _ in link.report(at).values)
+        stamp = object()
+        car.link.receiver.take(arduino.encode(arduino.Ticks(1)), stamp,
+                               100.0 + index * PERIOD + index % 3 / 100)
+        assert car.got.pop()[1] is stamp
+    assert car.values() == {}

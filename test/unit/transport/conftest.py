@@ -1,2 +1,12 @@
 """A line for the test of names."""
-from link_fixtures import line  # noqa: F401
+import pytest
+
+from lines import Pty
+
+
+@pytest.fixture
+def line(tmp_path):
+    """A real tty."""
+    made = Pty(tmp_path / 'port').plug()
+    yield made
+    made.unplug()

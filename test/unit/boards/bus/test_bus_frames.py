@@ -51,27 +51,12 @@ def test_rejected_vectors(case):
     check_rejected(BUS, wire, CHECKSUM, **rest)
 
 
-def test_default_request_helpers_make_the_documented_frames():
-    assert bus.encode_request(lift(0, 100)) == hexed('a5 02 55 20 00 64 b6')
-    assert bus.encode_request(gimbal(3, 90)) == hexed('a5 02 55 21 03 5a 8a')
-    assert bus.encode_request(bus.ENVIRONMENT_REQUEST) == hexed('a5 02 55 22 d0')
-    assert bus.encode_request(bus.SYNC_REQUEST) == hexed('a5 00 00 00 a5')
-    assert bus.encode_request(bus.echo(b'\xde\xad\xbe\xef')) == hexed(
-        'a5 04 01 00 de ad be ef 82')
-
-
-@pytest.mark.parametrize('build, direction, amount, text', [
-    (lift, 2, 10, 'lift: direction is 2, out of range (0 … 1)'),
-    (lift, -1, 10, 'direction is -1'),
-    (lift, 0, 256, 'distance is 256, which its place (B) cannot hold'),
-    (lift, 0, -1, 'distance is -1'),
-    (gimbal, 4, 10, 'gimbal: direction is 4, out of range (0 … 3)'),
-    (gimbal, 3, 256, 'angle is 256, which its place (B) cannot hold'),
-])
-def test_moves_out_of_range_are_refused_with_the_range(build, direction, amount, text):
-    with pytest.raises(ValueError) as refusal:
+@pytest.mark.parametrize('build, direction, amount', [
+    (lift, 2, 10), (lift, -1, 10), (lift, 0, 256), (lift, 0, -1), (gimbal, 4, 10),
+    (gimbal, 3, 256)])
+def test_moves_out_of_range_are_refused(build, direction, amount):
+    with pytest.raises(ValueError):
         build(direction, amount)
-    assert text in str(refusal.value)
 
 
 # -- lengths ------------------------------------------------------------------------------
@@ -92,9 +77,8 @@ def test_the_flag_follows_the_length(size, start):
 def test_more_than_the_longest_data_is_not_encoded():
     for encode, message in ((bus.encode_request, bus.Request(1, 0, bytes(1025))),
                             (bus.encode_reply, bus.Reply(1, bytes(1025)))):
-        with pytest.raises(ValueError) as refusal:
+        with pytest.raises(ValueError):
             encode(message)
-        assert '1025' in str(refusal.value) and '1024' in str(refusal.value)
 
 
 @pytest.mark.parametrize('start', ['a5 ff', '5a fe 00', '5a 01 04', '5a ff ff'])
@@ -132,13 +116,6 @@ def test_error_codes_are_one_or_two_bytes_in_either_reply(cmd1, data, code):
     reply = bus.Reply(cmd1, hexed(data))
     assert reply.error_code == code
     assert bus.Reply(bus.OK, hexed(data)).error_code == 0
-    assert '0x%02x' % code in str(reply)
-
-
-@pytest.mark.parametrize('code', sorted(bus.ERROR_TEXTS))
-def test_every_known_error_code_has_a_text(code):
-    assert bus.describe_error(code) == '0x%02x: %s' % (code, bus.ERROR_TEXTS[code])
-    assert 'not a code' in bus.describe_error(0x1234)
 
 
 # -- the environment -----------------------------------------------------------------------------
@@ -161,30 +138,7 @@ def test_environment_round_trip(smoke, centidegrees, centipercent):
     assert reading.pack() == packed
 
 
-# -- damage ---------------------------------------------------------------------------------------
-
-@pytest.mark.parametrize('message, text', [
-    (lift(0, 100), 'lift up 100 mm'), (lift(1, 1), 'lift down 1 mm'),
-    (gimbal(2, 30), 'gimbal up 30 degrees'), (bus.ENVIRONMENT_REQUEST, 'environment'),
-    (bus.SYNC_REQUEST, 'SYNC'), (bus.echo(b'\xab'), 'ECHO ab'),
-    (bus.Request(0x55, 0x20, b'\7\7'), 'lift 0707'),
-    (bus.Reply(bus.ERROR, b'\2\x80'), 'ERROR 0x8002: the operation failed'),
-    (bus.Reply(bus.INVALID, b'\x40'), 'INVALID 0x40: the checksum did not match'),
-    (bus.Reply(bus.OK), 'OK'), (bus.Reply(0x77, b'\1'), 'reply 0x77 01')])
-def test_texts_of_messages(message, text):
-    assert str(message) == text
-
-
-# -- functions -----------------------------------------------------------------------------------
-
-@pytest.mark.parametrize('function', bus.BUILT_IN.values(), ids=lambda function: function.name)
-def test_no_row_may_take_what_a_built_in_function_has(function):
-    if function.cmd1 == bus.FUNCTION:
-        row = {'cmd2': function.number, 'srv_type': 'std_srvs/Trigger'}
-        with pytest.raises(RowError, match='from 0 to 254 but 32, 33, 34'):
-            DESCRIPTION.read('functions', {'a': row})
-
-
-def test_a_move_is_described_by_its_function():
-    assert (bus.LIFT_FUNCTION.moves, bus.RAW.moves, bus.ECHO_FUNCTION.repeatable) == (
-        True, False, True)
+@pytest.mark.parametrize('cmd2', [0x20, 0x21, 0x22, 0xFF])
+def test_no_row_may_take_what_a_built_in_function_has(cmd2):
+    with pytest.raises(RowError):
+        DESCRIPTION.read('functions', {'a': {'cmd2': cmd2, 'srv_type': 'std_srvs/Trigger'}})
