@@ -128,7 +128,3 @@ def _run(command: List[str], renew: Callable[[], object]) -> int:
             return status if status >= 0 else 128 - status
         except subprocess.TimeoutExpired:
             renew()
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -16,11 +16,10 @@ import rospy
 
 from ...output import end_with_output, prepare_output
 from ..watch.calls import node_argument
-from ..watch.master import wait_for_master
 from ..watch.state import BridgeState
 from ..watch.table import Screen, lines, plain
 from ..watch.topics import NODE
-from ..watch.watcher import Watcher
+from ..watch.watcher import Watcher, wait_for_master
 from . import report
 
 _PATIENCE = 5.0     # s that --once waits for the master's answer and the bridge's first report
@@ -111,7 +110,3 @@ def _once(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> i
         return _failed(bridge.trouble(now))
     print(plain(bridge, now))
     return 0 if bridge.all_ok(now) else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

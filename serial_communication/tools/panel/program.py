@@ -25,8 +25,8 @@ from ...link.sparing_log import SparingLog
 from ...ros import logs
 from ...ros.background import LatestWorker
 from ...ros.master import end_within, restart, watch_master
-from ..watch.master import wait_for_master
 from ..watch.state import BridgeState
+from ..watch.watcher import wait_for_master
 from .cli import DEFAULT_PORT
 from .commands import Commands, Outlet
 from .feed import Feed

@@ -6,7 +6,6 @@ from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
 
 from ...framing.stream import UNKNOWN, Frame
 from ...transport.port import Port, PortBusy, PortError
-from ..wire import lines
 from ..wire.lines import Settings
 
 USUAL = (9600, 57600, 38400, 19200, 230400, 460800, 921600, 500000, 250000, 1000000)    # baud
@@ -84,7 +83,7 @@ def _receive(url: str, baud: int, seconds: float, find: Callable[[bytes], Any],
 
 
 def _frames(board: Settings, data: bytes) -> List[Frame]:
-    decoder = lines.decoder(board, False)
+    decoder = board.decoder()
     frames = decoder.feed(data)
     while decoder.pending:
         frames += decoder.give_up()

@@ -107,7 +107,6 @@ class BridgeState:
         self.master_at: Optional[float] = None     # when the master answered last
         self.registered: Optional[bool] = None     # whether the master knows the node
         self.parameters: Dict[str, Any] = {}       # private ones, nested; empty until known
-        self.subscribed: Dict[str, str] = {}       # type of each topic that it subscribes to
         self.boards = boards_of({})                # by these parameters
         self.topics: List[TopicState] = []
         self.links: Dict[str, Optional[LinkState]] = {}

@@ -15,7 +15,6 @@ from ...framing.layout import BOARD_TIME
 from ...framing.row_reader import Group
 
 NODE = '/serial_communication'           # the bridge's default name
-LINKS = BOARDS                           # in this order, before links of other packages
 DIAGNOSTICS = '/diagnostics'
 SERIAL_MSG = 'serial_msg'
 _SETTINGS = '~settings/'      # of dynamic_reconfigure; /diagnostics has the values
@@ -57,7 +56,6 @@ class BridgeTopic(NamedTuple):
     ages: bool = True                 # False: published only on change, so never stale
     optional: bool = False            # only some boards send it
     fields: Tuple[str, ...] = ()      # of a custom message: the `fields` of its row
-    card: Optional[str] = ''          # as `Topic` in boards/description.py has it
 
     def values(self, message: Any) -> List[FieldValue]:
         """Return the numbers, flags and texts of a message of this topic."""
@@ -80,19 +78,11 @@ def board_topics(board: Description, parameters: Any = None) -> List[BridgeTopic
     own = board_parameters(parameters, board.name)
     return [BridgeTopic(topic.name, topic.type, (board.name,),
                         _number(own.get(topic.period_parameter)) or topic.period,
-                        topic.ages, topic.optional, card=topic.card) for topic in board.published]
+                        topic.ages, topic.optional) for topic in board.published]
 
 
 def _number(value: Any) -> Optional[float]:
     return float(value) if isinstance(value, (int, float)) else None
-
-
-TOPICS = (BridgeTopic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS, card=None),
-          *(topic for board in descriptions() for topic in board_topics(board)),
-          BridgeTopic('/tf', 'tf2_msgs/TFMessage', LINKS, card=None),
-          BridgeTopic('/tf_static', 'tf2_msgs/TFMessage', LINKS, ages=False, card=None),
-          BridgeTopic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0, card=None))
-TABLE = {topic.name: topic for topic in TOPICS}
 
 
 # -- names ---------------------------------------------------------------------------------------
@@ -140,7 +130,8 @@ def boards_of(parameters: Any) -> List[Description]:
 
 def published_topics(node: str, published: Dict[str, str], parameters: Any,
                      boards: Iterable[Description]) -> List[BridgeTopic]:
-    """Return the topics of one bridge: those in `TABLE`, in its order, then the others by name.
+    """Return the topics of one bridge: those of its boards, in their order, then the others by
+    name.
 
     Args:
         node: its full name, such as /serial_communication.
@@ -148,17 +139,18 @@ def published_topics(node: str, published: Dict[str, str], parameters: Any,
         parameters: its private parameters, nested as on the parameter server.
         boards: `boards_of` these parameters.
     """
-    topics = {**TABLE, **{
-        topic.name: topic for board in boards
-        for topic in (*board_topics(board, parameters), *row_topics(board, parameters))}}
+    known = {topic.name: topic for topic in (
+        *(topic for board in boards
+          for topic in (*board_topics(board, parameters), *row_topics(board, parameters))),
+        BridgeTopic('/tf_static', '', ages=False), BridgeTopic(DIAGNOSTICS, '', period=1.0))}
     names = {relative(full_name, node): type_ for full_name, type_ in published.items()
              if full_name not in ('/rosout', '/clock')
              and not relative(full_name, node).startswith(_SETTINGS)}
-    return [topics.get(name, BridgeTopic(name, names[name]))._replace(type=names[name])
-            for name in in_order(names, TABLE)]
+    return [known.get(name, BridgeTopic(name, ''))._replace(type=names[name])
+            for name in in_order(names, known)]
 
 
-def in_order(names: Iterable[str], first: Iterable[str] = LINKS) -> List[str]:
+def in_order(names: Iterable[str], first: Iterable[str] = BOARDS) -> List[str]:
     """Sort names for display: those in `first` in its order, then the others by name."""
     given = set(names)
     return [name for name in dict.fromkeys([*first, *sorted(given)]) if name in given]

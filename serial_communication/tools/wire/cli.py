@@ -53,7 +53,3 @@ def _run(arguments: List[str]) -> int:
     elif rest:
         parser.error(f'unrecognized arguments: {" ".join(rest)}')
     return PROGRAMS[options.program].run(options)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

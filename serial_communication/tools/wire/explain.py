@@ -52,18 +52,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `wire explain`."""
     lines.add_options(parser)
     parser.add_argument('hex', metavar='HEX', nargs='*', help='the bytes; - for standard input')
-    one = parser.add_mutually_exclusive_group()
-    one.add_argument('--sent', action='store_const', const=True, dest='sent',
-                     help='the computer sent the bytes (bus: a request)')
-    one.add_argument('--received', action='store_const', const=False, dest='sent',
-                     help='the board sent the bytes (bus: a reply)')
 
 
 def run(options: argparse.Namespace) -> int:
     """Explain the bytes and return the exit status."""
     line = lines.settings(options)
     text = ' '.join(options.hex) if options.hex and options.hex != ['-'] else sys.stdin.read()
-    found = explain(parse(text), line, options.sent)
+    found = explain(parse(text), line)
     print('\n\n'.join(map(render, found)) or 'only empty packets')
     return 1 if any(each.trouble for each in found) else 0
 

@@ -65,7 +65,7 @@ class Explainer:
     """Finds the parts of frames in one direction of a line; RowError as `Description.decoder`."""
 
     def __init__(self, line: lines.Settings, sent: bool) -> None:
-        self.decoder: Any = lines.decoder(line, sent)
+        self.decoder: Any = line.decoder(sent)
         self._sent = sent
         self._has_cmd2 = sent or bool(line.parameters.get('reply_has_cmd2'))
         self._functions: Dict[Any, Any] = {}       # of the bus

@@ -96,7 +96,7 @@ def printed(path: str) -> Recorded:
 
 def whole(recorded: Recorded, line: lines.Settings) -> Recorded:
     """Return those that are one frame each, valid or of an unknown type."""
-    decoder = lines.decoder(line, False)
+    decoder = line.decoder()
     frames = []
     for at, data in recorded:
         found = decoder.feed(data)
