@@ -6,8 +6,6 @@ from typing import List, Optional
 
 from ...output import prepare_output
 
-DEFAULT_PORT = 8080
-
 
 def _port(text: str) -> int:
     if not text.isdecimal() or int(text) > 65535:
@@ -26,9 +24,8 @@ def _arguments(argv: List[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='panel', description='Serve a web page that shows a bridge and its links, to whoever '
         'opens the address that is printed. Ctrl-C ends it.')
-    parser.add_argument('--port', type=_port,
-                        help=f'TCP port to listen on; 0: any free one (default: {DEFAULT_PORT}, '
-                        'or the next free one)')
+    parser.add_argument('--port', type=_port, default=8080,
+                        help='TCP port to listen on; 0: any free one (default: %(default)s)')
     parser.add_argument('--bind', default='127.0.0.1', metavar='ADDRESS',
                         help='address to listen on; 0.0.0.0: all (default: %(default)s)')
     parser.add_argument('--node', default='/serial_communication', metavar='NAME',

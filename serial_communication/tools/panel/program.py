@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from typing import Callable, List, Optional
+from typing import Callable, List
 
 import rosgraph
 import rospy
@@ -27,18 +27,16 @@ from ...ros.background import LatestWorker
 from ...ros.master import end_within, restart, watch_master
 from ..watch.state import BridgeState
 from ..watch.watcher import wait_for_master
-from .cli import DEFAULT_PORT
 from .commands import Commands, Outlet
 from .feed import Feed
 from .news import News
 from .pages import Hub, Page
 from .server import application, own_names
 
-_NEXT_PORTS = 20          # that are tried after the default one
 _STOP_TIME = 0.2          # s for the last zeros to be sent
 _EXIT_TIME = 1.8          # s from a signal until the process exits, even if a thread hangs
 _MAX_BODY = 4096          # bytes of a request
-_BEFORE = 'SERIAL_COMMUNICATION_PANEL'    # environment of a restart: port, token, secret
+_BEFORE = 'SERIAL_COMMUNICATION_PANEL'    # environment of a restart: port and token
 
 
 def _start_ros(stopping: threading.Event, ready: Callable[[], None], end: Callable[[int], None],
@@ -72,18 +70,6 @@ def _print_error(text: str) -> None:
     print(f'panel: {text}', file=sys.stderr, flush=True)
 
 
-def _listen(port: Optional[int], bind: str) -> List[socket.socket]:
-    """Listen on this port, or on the default one or the next that is free; [] if that is not
-    possible."""
-    for each in [port] if port is not None else range(DEFAULT_PORT, DEFAULT_PORT + _NEXT_PORTS):
-        try:
-            return tornado.netutil.bind_sockets(each, bind)
-        except OSError as error:
-            why = f'cannot listen on {bind} port {each}: {error.strerror}'
-    _print_error(f'{why}; choose others with --bind and --port')
-    return []
-
-
 def page_address(bind: str, port: int, token: str) -> str:
     """The address to open in a browser; browsers send the part after # to no server."""
     host = bind
@@ -96,15 +82,15 @@ def page_address(bind: str, port: int, token: str) -> str:
 
 
 def _serve(options: argparse.Namespace) -> int:
-    before, token, secret = (os.environ.pop(_BEFORE, '').split() + ['', '', ''])[:3]
-    if before:
-        options.port = int(before)
-    sockets = _listen(options.port, options.bind)
-    if not sockets:
+    at, token = os.environ.pop(_BEFORE, f'{options.port} {secrets.token_urlsafe(16)}').split()
+    token = options.token or token
+    try:
+        sockets = tornado.netutil.bind_sockets(int(at), options.bind)
+    except OSError as error:
+        _print_error(f'cannot listen on {options.bind} port {at}: {error.strerror}; choose '
+                     'others with --bind and --port')
         return 1
     port = sockets[0].getsockname()[1]
-    token = options.token or token or secrets.token_urlsafe(16)
-    secret = secret or secrets.token_urlsafe(32)
 
     loop = tornado.ioloop.IOLoop.current()
     bridge = BridgeState(rospy.resolve_name(options.node), master=rosgraph.get_master_uri())
@@ -113,7 +99,7 @@ def _serve(options: argparse.Namespace) -> int:
         if options.control else None
     hub = Hub(Feed(bridge, worker, news), commands, news,
               SparingLog('panel', logging.getLogger('rosout')))
-    app = application(Page, hub, own_names(options.bind), token, port, secret)
+    app = application(Page, hub, own_names(options.bind), token, port, token)
     server = tornado.httpserver.HTTPServer(app, max_body_size=_MAX_BODY, max_header_size=1 << 14,
                                            idle_connection_timeout=60)
     server.add_sockets(sockets)
@@ -142,7 +128,7 @@ def _serve(options: argparse.Namespace) -> int:
         page.on_close()
     time.sleep(_STOP_TIME)
     if not statuses:
-        restart({_BEFORE: f'{port} {token} {secret}'})
+        restart({_BEFORE: f'{port} {token}'})
     stopping.set()
     rospy.signal_shutdown('it ends')
     return statuses[0] if statuses else 0

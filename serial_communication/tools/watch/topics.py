@@ -17,6 +17,7 @@ from ...framing.row_reader import Group
 NODE = '/serial_communication'           # the bridge's default name
 DIAGNOSTICS = '/diagnostics'
 SERIAL_MSG = 'serial_msg'
+_OF_ALL_NODES = '/clock', '/diagnostics', '/rosout', '/tf', '/tf_static'
 _SETTINGS = '~settings/'      # of dynamic_reconfigure; /diagnostics has the values
 _MOST_ITEMS = 16     # of an array that are shown
 
@@ -66,8 +67,6 @@ class BridgeTopic(NamedTuple):
 
     def words(self, message: Any) -> str:
         """Return a message of this topic as one line of text."""
-        if self.type in _WORDS and not self.fields:
-            return one_line(_WORDS[self.type](message))
         values = self.values(message)
         return one_line(', '.join(f'{value.name} {value.text()}' * (len(values) > 1)
                                   or value.text() for value in values))
@@ -131,7 +130,7 @@ def boards_of(parameters: Any) -> List[Description]:
 def published_topics(node: str, published: Dict[str, str], parameters: Any,
                      boards: Iterable[Description]) -> List[BridgeTopic]:
     """Return the topics of one bridge: those of its boards, in their order, then the others by
-    name.
+    name. Those on which every node publishes are left out.
 
     Args:
         node: its full name, such as /serial_communication.
@@ -140,11 +139,10 @@ def published_topics(node: str, published: Dict[str, str], parameters: Any,
         boards: `boards_of` these parameters.
     """
     known = {topic.name: topic for topic in (
-        *(topic for board in boards
-          for topic in (*board_topics(board, parameters), *row_topics(board, parameters))),
-        BridgeTopic('/tf_static', '', ages=False), BridgeTopic(DIAGNOSTICS, '', period=1.0))}
+        topic for board in boards
+        for topic in (*board_topics(board, parameters), *row_topics(board, parameters)))}
     names = {relative(full_name, node): type_ for full_name, type_ in published.items()
-             if full_name not in ('/rosout', '/clock')
+             if full_name not in _OF_ALL_NODES
              and not relative(full_name, node).startswith(_SETTINGS)}
     return [known.get(name, BridgeTopic(name, ''))._replace(type=names[name])
             for name in in_order(names, known)]
@@ -239,16 +237,10 @@ def _imu(message: Any) -> List[FieldValue]:
     return found
 
 
-_NO_READING = 65535     # mm, of a range in McuStatus2
-
-
-def _millimetres(value: int) -> float:
-    return math.nan if value == _NO_READING else value
-
-
-def _status(message: Any, values: List[FieldValue]) -> List[FieldValue]:
-    return [FieldValue('valid', message.valid), *values,
-            FieldValue('age', message.last_frame_age_sec, 's', 2)]
+def _status(message: Any) -> List[FieldValue]:
+    """The measurements in a status of the sensor board, and whether they are valid."""
+    return [each for each in leaves('', message)
+            if each.name not in ('stamp', 'seq', 'connected', 'crc_error_count')]
 
 
 # Type to numbers. For any other type they are the numbers, flags and texts of its fields.
@@ -264,25 +256,12 @@ _VALUES = {
         FieldValue('smoke', m.smoke, '', 0),
         FieldValue('temperature', m.temperature, 'degrees C', 2),
         FieldValue('humidity', m.humidity, '%', 2)],
-    'serial_communication/McuStatus': lambda m: _status(m, [
-        FieldValue(f'adc{channel}', getattr(m, f'adc{channel}'), '', 0, 0, 4095)
-        for channel in range(6)]),
-    'serial_communication/McuStatus2': lambda m: _status(m, [
-        FieldValue('range 1', _millimetres(m.vl53_1), 'mm', 0),
-        FieldValue('range 2', _millimetres(m.vl53_2), 'mm', 0),
-        FieldValue('yaw', m.yaw, 'deg', 1), FieldValue('pitch', m.pitch, 'deg', 1),
-        FieldValue('roll', m.roll, 'deg', 1)]),
+    'serial_communication/McuStatus': _status,
+    'serial_communication/McuStatus2': _status,
+    'serial_communication/SerialMsg': lambda m: [FieldValue(
+        'frame', f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}")],
     'serial_communication/SteeringFeedback': lambda m: [
         FieldValue('steering angle', m.value, '', 0)],
     'serial_communication/Ticks': lambda m: [FieldValue('ticks', m.value, 'in 10 ms', 0)],
     'serial_communication/Voltage': lambda m: [FieldValue('voltage', m.value, 'V', 2)],
-}
-# Type to text. For any other type it is the text of its numbers.
-_WORDS = {
-    'serial_communication/SerialMsg': lambda m:
-        f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}",
-    'tf2_msgs/TFMessage': lambda m: ', '.join(
-        f'{each.child_frame_id} in {each.header.frame_id}' for each in m.transforms),
-    'diagnostic_msgs/DiagnosticArray': lambda m: '; '.join(
-        f'{each.name}: {each.message}' for each in m.status),
 }

@@ -46,6 +46,19 @@ def wait_for_master(stopping: threading.Event, say: Callable[[str], object],
     return False
 
 
+def unpack(topic: BridgeTopic, data: bytes) -> Any:
+    """Deserialize a message of a topic.
+
+    Raises:
+        ValueError: the type is not installed here.
+        Exception: whatever genpy raises where it is not of the topic's type.
+    """
+    found = roslib.message.get_message_class(topic.type)
+    if found is None:
+        raise ValueError(f'the type {topic.type} is not installed here')
+    return found().deserialize(data)
+
+
 class Watcher:
     """Keeps a `BridgeState` up to date, in a process that has called rospy.init_node.
 
@@ -90,22 +103,10 @@ class Watcher:
             if latest is None:
                 continue
             try:
-                each.words = each.topic.words(self.unpack(each.topic, latest))
+                each.words = each.topic.words(unpack(each.topic, latest))
             except Exception as error:  # pylint: disable=broad-except
                 # The message may be of another version of the type.
                 each.words = f'not as expected: {error}'
-
-    def unpack(self, topic: BridgeTopic, data: bytes) -> Any:
-        """Deserialize a message of a topic.
-
-        Raises:
-            ValueError: the type is not installed here.
-            Exception: whatever genpy raises where it is not of the topic's type.
-        """
-        found = roslib.message.get_message_class(topic.type)
-        if found is None:
-            raise ValueError(f'the type {topic.type} is not installed here')
-        return found().deserialize(data)
 
     # -- messages --------------------------------------------------------------------------
 

@@ -1,6 +1,5 @@
 """The program `wire`: runs the module that the command line names. See `wire --help`."""
 import argparse
-import re
 import signal
 import sys
 from typing import List, Optional
@@ -38,8 +37,6 @@ def main(arguments: Optional[List[str]] = None) -> int:
 
 
 def _run(arguments: List[str]) -> int:
-    # roslaunch adds __name:=… and remappings.
-    arguments = [each for each in arguments if not re.match(r'[\w/~]+:=', each)]
     parser = argparse.ArgumentParser(prog='wire', description=_DESCRIPTION,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     programs = parser.add_subparsers(dest='program', metavar='PROGRAM', required=True)
