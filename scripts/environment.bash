@@ -16,7 +16,7 @@ run      python3-dynamic-reconfigure=dynamic-reconfigure
 # With the package.xml by which rosrun finds dynparam:
 run      libdynamic-reconfigure-config-init-mutex-dev=dynamic-reconfigure
 run      python3-serial cmake make g++
-panel    python3-tornado python3-qrcode
+panel    python3-tornado
 test     python3-rostest=rostest python3-rosbag=rosbag python3-pytest python3-pytest-xdist python3-hypothesis
 test     catkin-lint python3-flake8 mypy shellcheck libxml2-utils systemd socat
 bench    python3-psutil python3-tqdm python3-tabulate

@@ -17,7 +17,7 @@ import signal
 import subprocess
 import sys
 import time
-from typing import Callable, List, Optional
+from typing import Callable, List
 from urllib.parse import urlsplit
 
 import rosgraph
@@ -35,10 +35,10 @@ _TRIES, _AGAIN = 6, 0.2     # for longer than the bridge refuses calls after a s
 _PR_SET_PDEATHSIG = 1
 
 
-def main(arguments: Optional[List[str]] = None) -> int:
+def main() -> int:
     """Run the command and return the exit status."""
     prepare_output()
-    options = _arguments(sys.argv[1:] if arguments is None else arguments)
+    options = _arguments(sys.argv[1:])
     if not shutil.which(options.command[0]):
         return _say(f'there is no program {options.command[0]}', _NOT_STARTED)
     # The bridge keeps 60 characters of it, and the pid must be among them.

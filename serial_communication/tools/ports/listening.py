@@ -46,7 +46,7 @@ def listen(url: str, boards: List[Settings], seconds: float, ask: bool) -> Recei
                 break     # silent at every rate that a bridge would use
         for each in boards if ask and not first else ():
             for _ in range(_QUESTIONS if each.board.question else 0):
-                data, answer = _receive(url, each.baud, _ANSWER, partial(_valid, each),
+                data, answer = _receive(url, each.baud, _ANSWER, partial(_answers, each),
                                         question=each.board.question)
                 if answer:
                     return Received(each.board.name, each.baud, data)
@@ -90,9 +90,8 @@ def _frames(board: Settings, data: bytes) -> List[Frame]:
     return frames
 
 
-def _valid(board: Settings, data: bytes) -> List[int]:
-    """The sizes of the valid frames of a board."""
-    return [len(frame.raw) for frame in _frames(board, data) if frame.message is not None]
+def _answers(board: Settings, data: bytes) -> bool:
+    return any(frame.message is not None for frame in _frames(board, data))
 
 
 def recognised(boards: Iterable[Settings], data: bytes) -> str:
@@ -103,8 +102,9 @@ def recognised(boards: Iterable[Settings], data: bytes) -> str:
     """
     name, most = '', 0
     for each in boards:
-        valid, invalid = _valid(each, data), sum(
-            len(frame.raw) for frame in _frames(each, data) if frame.cause not in ('', UNKNOWN))
+        frames = _frames(each, data)
+        valid = [len(frame.raw) for frame in frames if frame.message is not None]
+        invalid = sum(len(frame.raw) for frame in frames if frame.cause not in ('', UNKNOWN))
         if len(valid) >= _FRAMES and sum(valid) > max(invalid, most):
             name, most = each.board.name, sum(valid)
     return name

@@ -226,14 +226,11 @@ def _imu(message: Any) -> List[FieldValue]:
               math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z)))
     found = [FieldValue(name, math.degrees(angle), 'deg', 1)
              for name, angle in zip(('roll', 'pitch', 'yaw'), angles)]
-    for vector, covariance, name, unit, digits in (
-            (message.angular_velocity, message.angular_velocity_covariance,
-             'rate', 'rad/s', 3),
-            (message.linear_acceleration, message.linear_acceleration_covariance,
-             'acceleration', 'm/s^2', 2)):
-        if covariance[0] != -1:      # -1: not measured
-            found += [FieldValue(f'{name} {axis}', getattr(vector, axis), unit, digits)
-                      for axis in 'xyz']
+    for name, unit, digits in (('angular_velocity', 'rad/s', 3),
+                               ('linear_acceleration', 'm/s^2', 2)):
+        if getattr(message, name + '_covariance')[0] != -1:      # -1: not measured
+            found += [each._replace(unit=unit, digits=digits)
+                      for each in leaves(name, getattr(message, name))]
     return found
 
 

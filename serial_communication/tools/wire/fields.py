@@ -90,18 +90,14 @@ class Explainer:
         if isinstance(decoder, (arduino.Decoder, arduino.BoardDecoder)):
             return self._cobs(raw, frames[0])
         parts, frame = _Parts(raw), frames[0]      # of a board of another package
-        parts.take(self._size or len(frame.raw), 'frame', '' if frame.cause else frame.text,
-                   frame.error)
+        parts.take(len(frame.raw), 'frame', '' if frame.cause else frame.text, frame.error)
         return parts.take_rest('more', 'does not belong to the frame')
 
     def decode(self, data: bytes) -> List[Frame]:
         """The frames and noise in these bytes, of which nothing follows."""
         decoder = self.decoder
         decoder.reset()
-        before = decoder.received
         frames: List[Frame] = decoder.feed(data)
-        # Of an incomplete frame, as far as is known.
-        self._size = decoder.front - before + decoder.needed if decoder.begun and not frames else 0
         while decoder.pending:
             frames += decoder.give_up()
         return frames

@@ -5,11 +5,6 @@ wrong with them. The port is opened as the bridge opens it: exclusively, and so 
 again does not reset a board (an Arduino resets once, at the first opening after it was plugged
 in). Two readers of a port would take bytes from each other, so while the bridge has the port, this
 program reports that and ends. An absent port is waited for. Ctrl-C ends the program.
-
-examples:
-  wire listen mcu /dev/ttyUSB0
-  wire listen arduino /dev/serial/by-id/usb-1a86_USB2.0-Serial-if00-port0 | tee drive.txt
-  wire listen bus socket://192.168.1.7:4001
 """
 import argparse
 import os
