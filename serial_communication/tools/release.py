@@ -5,9 +5,6 @@ command ends or is killed. If this program is killed, so is the command, and the
 port after a few seconds. {port} in the COMMAND is the device, and so this has to run on the
 machine of the bridge. Exit status: the command's, 128 and the number of the signal that ended it,
 127 if it cannot be started, 125 if the port is not lent, 2 for a wrong argument.
-
-  release arduino -- arduino-cli upload -p {port} -b arduino:avr:nano nano_car
-  release mcu -- esptool.py --port {port} write_flash 0x10000 firmware.bin
 """
 import argparse
 import ctypes

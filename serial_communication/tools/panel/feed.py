@@ -25,7 +25,7 @@ _FIRST_ANSWER = 1.5     # s that master and bridge have to answer after a page w
 _MOST = 100             # frames and log lines that are kept
 _MOST_BYTES = 300       # of a frame that are shown; those of the built-in boards are shorter
 _MOST_TEXT = 500        # characters of a text that are shown
-_MOST_SETTINGS = 20000  # … of those in /diagnostics with the values of all settings
+_MOST_VALUE = 20000     # … of a value in /diagnostics; one has the values of all settings
 _MOST_FIELDS = 24       # of a topic; covariances are no news for people
 _MOST_INTEGER = 2 ** 53     # a browser rounds larger integers
 
@@ -99,8 +99,7 @@ class Feed:
         for name, link in bridge.links.items():
             tell('links', name, link and {
                 'at': round(link.at, 3), 'level': link.level, 'summary': link.summary[:_MOST_TEXT],
-                'values': {key[:_MOST_TEXT]: value[:_MOST_SETTINGS if key.startswith('settings')
-                                                   else _MOST_TEXT]
+                'values': {key[:_MOST_TEXT]: value[:_MOST_VALUE]
                            for key, value in link.values.items()}})
         tell('state', 'titles', {board.name: board.title for board in bridge.boards})
         for _ in range(len(self._lines)):

@@ -50,10 +50,9 @@ def call(name: str, service_class: Any, request: Any, deadline: float) -> Answer
         rospy.wait_for_service(name, MOST_WAIT)
     except rosgraph.MasterException:
         return Answer(Verdict.REFUSED, 'nothing was sent: no bridge offers this service now')
-    except OSError:
-        return Answer(Verdict.REFUSED, 'nothing was sent: the ROS master does not answer')
-    except rospy.ROSException:
-        return Answer(Verdict.REFUSED, 'nothing was sent: the bridge does not answer')
+    except (OSError, rospy.ROSException):
+        return Answer(Verdict.REFUSED, 'nothing was sent: the bridge or the ROS master does not '
+                      'answer')
     if time.monotonic() > deadline:
         return Answer(Verdict.REFUSED, 'nothing was sent: master and bridge took more than '
                       f'{MOST_WAIT:g} s to answer; call again')

@@ -148,11 +148,11 @@ class Explainer:
                 places.append(at)
         decoded = bytes(with_zeros[place] for place in places)
         layout, words = self._by_type(decoded, decoded[1:])
-        header, data, parts = _Parts(decoded, {'type': words}), _Parts(decoded, at=1), _Parts(raw)
+        inner, parts = _Parts(decoded, {'type': words}), _Parts(raw)
         if decoded:
-            header.take_data(1, 'type', _ARDUINO)
-            data.take_data(len(decoded) - 1, 'data', layout, frame.message)
-        for part in header.found + data.found:
+            inner.take_data(1, 'type', _ARDUINO)
+            inner.take_data(len(decoded) - 1, 'data', layout, frame.message)
+        for part in inner.found:
             if part.data and places[part.start] > parts.at:
                 parts.take(places[part.start] - parts.at, 'COBS code', 'the packet without zeros')
             behind = places[part.end - 1] + 1 if part.data else parts.at

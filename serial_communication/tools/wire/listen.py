@@ -3,11 +3,10 @@
 Each line has the time, the time since the frame before, the bytes, and their meaning or what is
 wrong with them. The port is opened as the bridge opens it: exclusively, and so that opening it
 again does not reset a board (an Arduino resets once, at the first opening after it was plugged
-in). Two readers of a port would take bytes from each other, so while the bridge has the port, this
-program reports that and ends. An absent port is waited for. Ctrl-C ends the program.
+in). A port that is absent, or that another program has open, is waited for. Ctrl-C ends the
+program.
 """
 import argparse
-import os
 import time
 from datetime import datetime
 from typing import Iterator, Optional
@@ -15,7 +14,7 @@ from typing import Iterator, Optional
 from ...framing.stream import Frame, FrameTimer
 from ...transport.port import Port, PortError
 from . import lines
-from .lines import Settings, WireError, note
+from .lines import Settings, note
 
 SUMMARY = 'show every frame that a board sends; writes nothing to the port'
 
@@ -51,9 +50,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _frames(port: Port, line: Settings) -> Iterator[Frame]:
-    """The frames that arrive; the port is opened again whenever it vanishes. WireError: it is
-    there, but cannot be opened."""
-    trouble: Optional[str] = None
+    """The frames that arrive; the port is opened again whenever it vanishes."""
+    trouble = ''
     while True:
         try:
             port.open()
@@ -62,9 +60,6 @@ def _frames(port: Port, line: Settings) -> Iterator[Frame]:
             yield from _received(port, line)
         except PortError as error:
             port.close()
-            if trouble is None and os.path.exists(port.url):
-                raise WireError(f'{port.url}: {error}. Frames of a bridge that runs: '
-                                'rostopic echo /serial_msg') from None
             if trouble != str(error):
                 trouble = str(error)
                 note(f'{port.url}: {trouble}')
