@@ -22,8 +22,7 @@ _CALL_EVERY = 3.0       # s between two calls
 _COMMAND_EVERY = 0.1    # s between two commands for the car
 
 # Direction, and mm or degrees. Each move is undone, so that none runs into an end stop.
-_PLAN = ((Lift, 0, 20), (Gimbal, 0, 15), (Lift, 1, 20), (Gimbal, 1, 15),
-         (Lift, 0, 40), (Gimbal, 2, 10), (Lift, 1, 40), (Gimbal, 3, 10))
+_PLAN = (Lift, 0, 20), (Gimbal, 0, 15), (Lift, 1, 20), (Gimbal, 1, 15)
 
 
 def main() -> None:

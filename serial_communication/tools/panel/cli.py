@@ -27,7 +27,9 @@ from ...output import prepare_output
 from ...ros import logs
 from ...ros.background import LatestWorker
 from ...ros.master import end_within, restart, watch_master
+from ..watch.calls import node_argument
 from ..watch.state import BridgeState
+from ..watch.topics import NODE
 from ..watch.watcher import wait_for_master
 from .commands import Commands, Outlet
 from .feed import Feed
@@ -54,7 +56,7 @@ def _token(text: str) -> str:
     return text
 
 
-def _arguments(argv: List[str]) -> argparse.Namespace:
+def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='panel', description='Serve a web page that shows a bridge and its links, to whoever '
         'opens the address that is printed. Ctrl-C ends it.')
@@ -62,14 +64,14 @@ def _arguments(argv: List[str]) -> argparse.Namespace:
                         help='TCP port to listen on; 0: any free one (default: %(default)s)')
     parser.add_argument('--bind', default='127.0.0.1', metavar='ADDRESS',
                         help='address to listen on; 0.0.0.0: all (default: %(default)s)')
-    parser.add_argument('--node', default='/serial_communication', metavar='NAME',
+    parser.add_argument('--node', type=node_argument, default=NODE, metavar='NAME',
                         help="the bridge's node name (default: %(default)s)")
     parser.add_argument('--control', action='store_true',
                         help='let the page move lift, gimbal, car or base')
     parser.add_argument('--token', type=_token,
                         help='a token of your own, instead of a random one of each start. Others '
                         'can see it in ps and in the log of roslaunch')
-    return parser.parse_args(argv)
+    return parser.parse_args(rospy.myargv()[1:])
 
 
 def _start_ros(stopping: threading.Event, ready: Callable[[], None], end: Callable[[int], None],
@@ -92,7 +94,7 @@ def _start_ros(stopping: threading.Event, ready: Callable[[], None], end: Callab
 def main() -> int:
     """Serve until a signal ends the program; return the exit status."""
     prepare_output()
-    options = _arguments(rospy.myargv()[1:])
+    options = _arguments()
     status = 1
     try:
         status = _serve(options)
@@ -128,7 +130,7 @@ def _serve(options: argparse.Namespace) -> int:
     port = sockets[0].getsockname()[1]
 
     loop = tornado.ioloop.IOLoop.current()
-    bridge = BridgeState(rospy.resolve_name(options.node), master=rosgraph.get_master_uri())
+    bridge = BridgeState(options.node, rosgraph.get_master_uri())
     news, worker = News(), LatestWorker('registrar')
     commands = Commands(bridge, Outlet(bridge, worker), news, loop.add_callback) \
         if options.control else None

@@ -57,12 +57,8 @@ def listen(url: str, boards: List[Settings], seconds: float, ask: bool) -> Recei
 
 def _receive(url: str, baud: int, seconds: float, find: Callable[[bytes], Any],
              more: float = 0.0, question: bytes = b'') -> Tuple[bytes, Any]:
-    """The bytes received at one rate until `find` finds something in them, and that.
-
-    Args:
-        more: s to go on while nothing is received.
-        question: is sent first.
-    """
+    """The bytes received at one rate until `find` finds something in them, and that. The `question`
+    is sent first. It takes so many seconds, and `more` while nothing is received."""
     port, data, look_at = Port(url, baud), b'', 1
     try:
         port.open()

@@ -153,8 +153,7 @@ class BridgeState:
         """Return why nothing new can be received, in words; '' while the bridge reports."""
         reported = self.reported_at()
         if self.master_at is None or now - self.master_at > _MASTER_TIMEOUT:
-            age = '' if self.master_at is None else f' for {ago(now - self.master_at)}'
-            return f'no answer from the ROS master at {self.master}{age}'
+            return f'no answer from the ROS master at {self.master}'
         if reported is not None and now - reported <= _PERIODS_TO_STALE * _LINK_PERIOD:
             return ''
         if self.registered is False:

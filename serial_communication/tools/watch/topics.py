@@ -257,8 +257,6 @@ _VALUES = {
     'serial_communication/McuStatus2': _status,
     'serial_communication/SerialMsg': lambda m: [FieldValue(
         'frame', f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}")],
-    'serial_communication/SteeringFeedback': lambda m: [
-        FieldValue('steering angle', m.value, '', 0)],
     'serial_communication/Ticks': lambda m: [FieldValue('ticks', m.value, 'in 10 ms', 0)],
     'serial_communication/Voltage': lambda m: [FieldValue('voltage', m.value, 'V', 2)],
 }

@@ -47,12 +47,8 @@ def wait_for_master(stopping: threading.Event, say: Callable[[str], object],
 
 
 def unpack(topic: BridgeTopic, data: bytes) -> Any:
-    """Deserialize a message of a topic.
-
-    Raises:
-        ValueError: the type is not installed here.
-        Exception: whatever genpy raises where it is not of the topic's type.
-    """
+    """Deserialize a message of a topic; ValueError if its type is not installed here, and whatever
+    genpy raises if it is of another type."""
     found = roslib.message.get_message_class(topic.type)
     if found is None:
         raise ValueError(f'the type {topic.type} is not installed here')

@@ -25,7 +25,6 @@ from .lines import Settings
 
 SUMMARY = 'explain bytes, field by field, and what is wrong with them'
 
-_FORMS = r"bytes are written A5 02 55, a50255, 0xA5,0x02, \xa5\x02, b'\xa5\x02' or [165, 2]"
 _MOST_BYTES = 8         # of a field on one line; a longer field continues on the next
 
 
@@ -74,9 +73,9 @@ def parse(text: str) -> bytes:
             digits = [re.sub(r'^(0x|\\x|\$)', '', token, flags=re.I) for token in tokens]
             data = b''.join(bytes.fromhex('0' * (len(each) == 1) + each) for each in digits)
     except (ValueError, SyntaxError):
-        raise NotHex(f'{text[:40]!r} is not hex; {_FORMS}') from None
+        raise NotHex(f'{text[:40]!r} is not hex: see --help') from None
     if not data:
-        raise NotHex(f'there are no bytes; {_FORMS}')
+        raise NotHex('there are no bytes')
     return data
 
 

@@ -74,11 +74,8 @@ class Explainer:
             self._functions = {**bus.BUILT_IN, **{(row.cmd1, row.number): row for row in rows}}
 
     def parts(self, raw: bytes, request: Any = None) -> List[Part]:
-        """Return the parts of one frame, valid or not, incomplete, or of noise.
-
-        Args:
-            request: of the bus, that the frame answers, if known; it says what the DATE means.
-        """
+        """Return the parts of one frame, valid or not, incomplete, or of noise. On the bus the
+        `request` that it answers, if known, says what the DATE means."""
         decoder, frames = self.decoder, self.decode(raw)
         if not frames or isinstance(decoder, StreamDecoder) and raw[0] not in decoder.STARTS:
             return _Parts(raw).take_rest('noise', 'no frame begins with these bytes')

@@ -60,11 +60,8 @@ def add_options(parser: argparse.ArgumentParser, with_port: bool = False) -> Non
 
 
 def settings(options: argparse.Namespace) -> Settings:
-    """Return the settings from the command line.
-
-    Raises:
-        UsageError: the link is unknown, or --config or --baud cannot be used.
-    """
+    """The settings from the command line; UsageError if the link is unknown, or --config or --baud
+    cannot be used."""
     try:
         parameters = read_parameters(options.config) if options.config else {}
         others = () if options.link in BOARDS else map(description, board_packages(parameters))
