@@ -25,9 +25,6 @@ class Topic(NamedTuple):
     period_parameter: str = ''        # name of the board's parameter with the period
     ages: bool = True                 # False: published on change only, so it never becomes stale
     optional: bool = False            # only some boards send it
-    # The title of its card on the page; '': a card of its own, with plots; None: the page shows it
-    # in a card made for it, or not at all.
-    card: Optional[str] = ''
 
 
 class Field(NamedTuple):
@@ -78,7 +75,7 @@ class Description:
     def published(self) -> List[Topic]:
         """All of its topics with data: its own, and those of built-in rows."""
         return [*self.topics, *(
-            Topic(self.name_of(row), row.ros_type, row.period or None, card=None)
+            Topic(self.name_of(row), row.ros_type, row.period or None)
             for row in self.rows if row.kind is Kind.FROM)]
 
     @property

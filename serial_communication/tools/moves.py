@@ -8,10 +8,9 @@ import itertools
 import math
 import threading
 import time
-from typing import Callable, Dict
+from typing import Callable
 
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray
 
 from serial_communication.msg import SpeedPWMCommand, SteeringPWMCommand
 from serial_communication.srv import Gimbal, Lift
@@ -23,8 +22,7 @@ _CALL_EVERY = 3.0       # s between two calls
 _COMMAND_EVERY = 0.1    # s between two commands for the car
 
 # Direction, and mm or degrees. Each move is undone, so that none runs into an end stop.
-_PLAN = ((Lift, 0, 20), (Gimbal, 0, 15), (Lift, 1, 20), (Gimbal, 1, 15),
-         (Lift, 0, 40), (Gimbal, 2, 10), (Lift, 1, 40), (Gimbal, 3, 10))
+_PLAN = (Lift, 0, 20), (Gimbal, 0, 15), (Lift, 1, 20), (Gimbal, 1, 15)
 
 
 def main() -> None:
@@ -33,13 +31,10 @@ def main() -> None:
     parser.add_argument('folder', metavar='FOLDER', help='with the ports of the simulated boards')
     folder = parser.parse_args(rospy.myargv()[1:]).folder
     rospy.init_node('moves')
-    ports: Dict[str, str] = {}      # of the bridge, by the names in /diagnostics
 
     def is_simulated(link: str) -> bool:
-        return ports.get(f'{NODE[1:]}: {link} link', '').startswith(folder + '/')
+        return str(rospy.get_param_cached(f'{NODE}/{link}/port', '')).startswith(folder + '/')
 
-    rospy.Subscriber('/diagnostics', DiagnosticArray, lambda message: ports.update(
-        (status.name, status.hardware_id) for status in message.status))
     threading.Thread(target=_call, args=(is_simulated,), daemon=True).start()
     _drive(is_simulated)
 

@@ -5,9 +5,6 @@ command ends or is killed. If this program is killed, so is the command, and the
 port after a few seconds. {port} in the COMMAND is the device, and so this has to run on the
 machine of the bridge. Exit status: the command's, 128 and the number of the signal that ended it,
 127 if it cannot be started, 125 if the port is not lent, 2 for a wrong argument.
-
-  release arduino -- arduino-cli upload -p {port} -b arduino:avr:nano nano_car
-  release mcu -- esptool.py --port {port} write_flash 0x10000 firmware.bin
 """
 import argparse
 import ctypes
@@ -17,7 +14,7 @@ import signal
 import subprocess
 import sys
 import time
-from typing import Callable, List, Optional
+from typing import Callable, List
 from urllib.parse import urlsplit
 
 import rosgraph
@@ -35,10 +32,10 @@ _TRIES, _AGAIN = 6, 0.2     # for longer than the bridge refuses calls after a s
 _PR_SET_PDEATHSIG = 1
 
 
-def main(arguments: Optional[List[str]] = None) -> int:
+def main() -> int:
     """Run the command and return the exit status."""
     prepare_output()
-    options = _arguments(sys.argv[1:] if arguments is None else arguments)
+    options = _arguments(sys.argv[1:])
     if not shutil.which(options.command[0]):
         return _say(f'there is no program {options.command[0]}', _NOT_STARTED)
     # The bridge keeps 60 characters of it, and the pid must be among them.
@@ -128,7 +125,3 @@ def _run(command: List[str], renew: Callable[[], object]) -> int:
             return status if status >= 0 else 128 - status
         except subprocess.TimeoutExpired:
             renew()
-
-
-if __name__ == '__main__':
-    sys.exit(main())

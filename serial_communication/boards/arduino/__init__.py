@@ -42,9 +42,9 @@ DESCRIPTION = Description(
               wire.MAX_PACKET - 1),
         Group('settings', '~settings/arduino/', (Kind.SETTING,), make=Setting)),
     topics=(
-        Topic('~imu', 'sensor_msgs/Imu', 0.01, card=None),
-        Topic('~imu/temperature', 'sensor_msgs/Temperature', 0.01, card=None),
-        Topic('~imu/calibrating', 'std_msgs/Bool', ages=False, card=None)),
+        Topic('~imu', 'sensor_msgs/Imu', 0.01),
+        Topic('~imu/temperature', 'sensor_msgs/Temperature', 0.01),
+        Topic('~imu/calibrating', 'std_msgs/Bool', ages=False)),
     services=(Service('~calibrate_imu', 'std_srvs/Empty', 'calibrate the IMU', confirm=(
         'The car must not move for over five minutes. During that time it takes no commands and '
         'sends no IMU data.')),

@@ -21,7 +21,7 @@ DESCRIPTION = Description(
         'functions', '~', (Kind.FUNCTION,),
         [cmd2 for cmd2 in range(wire.ANNOUNCEMENT.number)
          if (wire.FUNCTION, cmd2) not in wire.BUILT_IN], wire.MAX_LENGTH, wire.Function),),
-    topics=tuple(Topic(name, type_, period_parameter='environment_period', card=None)
+    topics=tuple(Topic(name, type_, period_parameter='environment_period')
                  for name, type_ in (
                      ('~environment', 'serial_communication/Environment'),
                      ('~environment/temperature', 'sensor_msgs/Temperature'),

@@ -23,12 +23,11 @@ DESCRIPTION = Description(
               wire.MAX_PAYLOAD),
         Group('settings', '~settings/mcu/', (Kind.SETTING,), make=Setting)),
     topics=(
-        Topic('mcu/status', 'serial_communication/McuStatus2', _STATUS, card='Ranges'),
-        Topic('mcu/adc_status', 'serial_communication/McuStatus', _STATUS, optional=True,
-              card='Channels'),
-        Topic('mcu/imu', 'sensor_msgs/Imu', card=None),
-        Topic('mcu/range_1', 'sensor_msgs/Range', card='Ranges'),
-        Topic('mcu/range_2', 'sensor_msgs/Range', card='Ranges')),
+        Topic('mcu/status', 'serial_communication/McuStatus2', _STATUS),
+        Topic('mcu/adc_status', 'serial_communication/McuStatus', _STATUS, optional=True),
+        Topic('mcu/imu', 'sensor_msgs/Imu'),
+        Topic('mcu/range_1', 'sensor_msgs/Range'),
+        Topic('mcu/range_2', 'sensor_msgs/Range')),
     services=(Service('~mcu/reset', 'std_srvs/Trigger', 'reset the sensor board', confirm=(
         'The board starts anew; its measurements are missing until then.')),),
     reset_line='rts')

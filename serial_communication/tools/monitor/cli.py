@@ -9,18 +9,16 @@ import signal
 import sys
 import threading
 import time
-from typing import List, Optional
 
 import rosgraph
 import rospy
 
 from ...output import end_with_output, prepare_output
 from ..watch.calls import node_argument
-from ..watch.master import wait_for_master
 from ..watch.state import BridgeState
 from ..watch.table import Screen, lines, plain
 from ..watch.topics import NODE
-from ..watch.watcher import Watcher
+from ..watch.watcher import Watcher, wait_for_master
 from . import report
 
 _PATIENCE = 5.0     # s that --once waits for the master's answer and the bridge's first report
@@ -28,14 +26,14 @@ _COLLECT = 3.0      # s that --once then counts messages: enough for topics at 1
 _PERIOD, _PLAIN_PERIOD = 1.0, 5.0     # s between two tables, on a terminal and elsewhere
 
 
-def main(argv: Optional[List[str]] = None) -> int:
+def main() -> int:
     """Run the monitor and return the exit status."""
     prepare_output()
-    options = _arguments(argv)
+    options = _arguments()
     return end_with_output(lambda: _run(options))
 
 
-def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
+def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog='monitor', description='The live table of a running bridge. It sends nothing. '
         'Ctrl-C ends it.')
@@ -46,7 +44,7 @@ def _arguments(argv: Optional[List[str]]) -> argparse.Namespace:
     parser.add_argument('--report', action='store_true',
                         help='also print versions, system, ports, diagnostics and parameters, for '
                              'an issue; without secrets and the hosts of ports')
-    options = parser.parse_args((rospy.myargv() if argv is None else [''] + argv)[1:])
+    options = parser.parse_args(rospy.myargv()[1:])
     options.once |= options.report
     return options
 
@@ -111,7 +109,3 @@ def _once(bridge: BridgeState, watcher: Watcher, stopping: threading.Event) -> i
         return _failed(bridge.trouble(now))
     print(plain(bridge, now))
     return 0 if bridge.all_ok(now) else 1
-
-
-if __name__ == '__main__':
-    sys.exit(main())

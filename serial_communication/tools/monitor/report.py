@@ -11,7 +11,6 @@ from ..ports.devices import devices, holders_of
 from ..watch.state import BridgeState
 from ..watch.table import LEVELS
 
-_PACKAGES = ('serial_communication', 'rospy')
 _SECRET = re.compile('pass|secret|token|credential|api_?key', re.IGNORECASE)    # in names
 _HOST = re.compile(r'(\w://)(?:\S*@)?[^/?\s]+?(?=[/?\s]|: |$)', re.MULTILINE)    # in a URL
 _HIDDEN = '…'
@@ -19,12 +18,12 @@ _HIDDEN = '…'
 
 def of_computer() -> str:
     """The versions, the system and the serial ports of this computer."""
-    python = f'Python {platform.python_version()}'
-    system = f'{_system()}, {platform.machine()}, Linux {platform.release()}'
+    versions = f'{_version("serial_communication")}, {_version("rospy")}'
+    system = f'Python {platform.python_version()}, {_system()}, {platform.machine()}, ' \
+        f'Linux {platform.release()}'
     ports = [', '.join(filter(None, (device.path, device.adapter, *holders_of(device.path))))
              for device in devices()]
-    return '\n'.join([', '.join([*map(_version, _PACKAGES), python]), system,
-                      *_section('ports', ports or ['none'])])
+    return '\n'.join([versions, system, *_section('ports', ports or ['none'])])
 
 
 def of_bridge(bridge: BridgeState) -> str:

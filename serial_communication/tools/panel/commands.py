@@ -37,17 +37,10 @@ class Outlet:
 
     def want(self, classes: Dict[str, Any]) -> None:
         """Have publishers of these classes, by names relative to the node, and no others."""
-        wanted = {self._full(name, each): each for name, each in classes.items()}
+        wanted = {absolute(name, self._bridge.node): each for name, each in classes.items()}
         if wanted != self._wanted:
             self._wanted = wanted
             self._worker.submit(self._register)
-
-    def _full(self, name: str, message_class: Any) -> str:
-        """The full name of a topic; a remapped one is known by its last word and its type."""
-        full = absolute(name, self._bridge.node)
-        return next((other for other, type_ in self._bridge.subscribed.items()
-                     if type_ == message_class._type
-                     and other.rpartition('/')[2] == full.rpartition('/')[2]), full)
 
     def _register(self) -> None:
         wanted = self._wanted
@@ -61,7 +54,7 @@ class Outlet:
 
     def publish(self, messages: Dict[str, Any]) -> None:
         """Publish all of these messages; or none of them, and raise CommandRefused."""
-        found = [(self._publisher(self._full(name, message)), message)
+        found = [(self._publisher(absolute(name, self._bridge.node)), message)
                  for name, message in messages.items()]
         for publisher, message in found:
             if message._has_header:
@@ -108,7 +101,7 @@ class Commands:
                 if entry.get('outcome') != Verdict.DONE.value:
                     self._zero(self._forms)
         self._news.tell('state', 'drives', self.switch.hold is not None)
-        offered = self._bridge.parameters, self._bridge.subscribed, active
+        offered = self._bridge.parameters, active
         if offered != self._offered:
             self._offered = offered
             self._forms = forms(self._bridge.boards, self._bridge.parameters)

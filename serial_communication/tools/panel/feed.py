@@ -17,7 +17,7 @@ from serial_communication.msg import SerialMsg
 from ...ros.background import LatestWorker
 from ..watch.state import BridgeState
 from ..watch.topics import SERIAL_MSG, BridgeTopic, FieldValue
-from ..watch.watcher import Watcher
+from ..watch.watcher import Watcher, unpack
 from .news import News
 
 FRAMES = 'frames'       # the group of `news` that only pages which show the wire are told
@@ -25,10 +25,9 @@ _FIRST_ANSWER = 1.5     # s that master and bridge have to answer after a page w
 _MOST = 100             # frames and log lines that are kept
 _MOST_BYTES = 300       # of a frame that are shown; those of the built-in boards are shorter
 _MOST_TEXT = 500        # characters of a text that are shown
-_MOST_SETTINGS = 20000  # … of those in /diagnostics with the values of all settings
+_MOST_VALUE = 20000     # … of a value in /diagnostics; one has the values of all settings
 _MOST_FIELDS = 24       # of a topic; covariances are no news for people
 _MOST_INTEGER = 2 ** 53     # a browser rounds larger integers
-_WITHOUT_CARD = 'tf2_msgs/TFMessage', 'diagnostic_msgs/DiagnosticArray'
 
 
 class Feed:
@@ -70,12 +69,12 @@ class Feed:
             self._log.unregister()
 
     def _wants(self, topic: BridgeTopic) -> bool:
-        return self._wanted[1] if topic.name == SERIAL_MSG else topic.type not in _WITHOUT_CARD
+        return self._wanted[1] or topic.name != SERIAL_MSG
 
     def _on_message(self, topic: BridgeTopic, packed: bytes, at: float) -> None:
         if topic.name == SERIAL_MSG:
             self._frames.append(packed)
-        elif topic.type not in _WITHOUT_CARD:   # the watcher itself reads /diagnostics
+        else:
             self._latest[topic.name] = topic, packed, at
 
     def _on_log(self, line: Log) -> None:
@@ -95,13 +94,12 @@ class Feed:
         tell('state', 'topics', {
             each.topic.name: {'type': each.topic.type, 'fields': self._fields.get(each.topic.name),
                               'limit': _rounded(each.stale_after())}
-            for each in bridge.topics if each.topic.type not in _WITHOUT_CARD
-            and each.topic.name != SERIAL_MSG and (each.count or not each.topic.optional)})
+            for each in bridge.topics
+            if each.topic.name != SERIAL_MSG and (each.count or not each.topic.optional)})
         for name, link in bridge.links.items():
             tell('links', name, link and {
                 'at': round(link.at, 3), 'level': link.level, 'summary': link.summary[:_MOST_TEXT],
-                'values': {key[:_MOST_TEXT]: value[:_MOST_SETTINGS if key.startswith('settings')
-                                                   else _MOST_TEXT]
+                'values': {key[:_MOST_TEXT]: value[:_MOST_VALUE]
                            for key, value in link.values.items()}})
         tell('state', 'titles', {board.name: board.title for board in bridge.boards})
         for _ in range(len(self._lines)):
@@ -112,9 +110,7 @@ class Feed:
     def _values(self, topic: BridgeTopic, packed: bytes) -> List[FieldValue]:
         """The values of a message; what is wrong, if its type is of another version than here."""
         try:
-            assert self._watcher, 'it was received'
-            message = self._watcher.unpack(topic, packed)
-            return [each for each in topic.values(message)
+            return [each for each in topic.values(unpack(topic, packed))
                     if 'covariance' not in each.name][:_MOST_FIELDS]
         except Exception as error:  # pylint: disable=broad-except
             return [FieldValue('trouble', f'the message cannot be read: {error}')]

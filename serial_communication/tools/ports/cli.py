@@ -15,10 +15,8 @@ from typing import Any, Dict, Iterator, List, Optional
 
 from ...boards import BoardError, descriptions
 from ...output import end_with_output, prepare_output
-from ...simulation.arguments import (board_packages, board_parameters, read_parameters,
-                                     url_argument)
-from ..wire import lines
-from ..wire.lines import Settings
+from ...simulation.arguments import board_packages, read_parameters, url_argument
+from ..wire.lines import Settings, settings_of
 from . import devices
 from .devices import Device
 from .listening import Received, listen
@@ -71,12 +69,7 @@ def _seconds(text: str) -> float:
 def _boards(config: str) -> List[Settings]:
     """The boards that may be on a port, as a configuration has them; ValueError for a mistake."""
     parameters = read_parameters(config) if config else {}
-    boards = []
-    for board in descriptions(board_packages(parameters)):
-        own = board_parameters(parameters, board.name)
-        boards.append(Settings(board, board.baud_of(own), own))
-        lines.decoder(boards[-1], False)
-    return boards
+    return [settings_of(board, parameters) for board in descriptions(board_packages(parameters))]
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -134,7 +127,3 @@ def _paragraphs(ports: List[Dict[str, Any]], options: argparse.Namespace) -> Ite
     yield '\n'.join(['Put into a configuration (bridge.launch config:=FILE):', *(
         f'{name}: {{port: {port["name"]}, baud: {port["baud"]}}}'
         for name, port in sorted(found.items()))]) if found else 'No board was found.'
-
-
-if __name__ == '__main__':
-    sys.exit(main())

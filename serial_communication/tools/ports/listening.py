@@ -6,7 +6,6 @@ from typing import Any, Callable, Iterable, List, NamedTuple, Optional, Tuple
 
 from ...framing.stream import UNKNOWN, Frame
 from ...transport.port import Port, PortBusy, PortError
-from ..wire import lines
 from ..wire.lines import Settings
 
 USUAL = (9600, 57600, 38400, 19200, 230400, 460800, 921600, 500000, 250000, 1000000)    # baud
@@ -47,7 +46,7 @@ def listen(url: str, boards: List[Settings], seconds: float, ask: bool) -> Recei
                 break     # silent at every rate that a bridge would use
         for each in boards if ask and not first else ():
             for _ in range(_QUESTIONS if each.board.question else 0):
-                data, answer = _receive(url, each.baud, _ANSWER, partial(_valid, each),
+                data, answer = _receive(url, each.baud, _ANSWER, partial(_answers, each),
                                         question=each.board.question)
                 if answer:
                     return Received(each.board.name, each.baud, data)
@@ -58,12 +57,8 @@ def listen(url: str, boards: List[Settings], seconds: float, ask: bool) -> Recei
 
 def _receive(url: str, baud: int, seconds: float, find: Callable[[bytes], Any],
              more: float = 0.0, question: bytes = b'') -> Tuple[bytes, Any]:
-    """The bytes received at one rate until `find` finds something in them, and that.
-
-    Args:
-        more: s to go on while nothing is received.
-        question: is sent first.
-    """
+    """The bytes received at one rate until `find` finds something in them, and that. The `question`
+    is sent first. It takes so many seconds, and `more` while nothing is received."""
     port, data, look_at = Port(url, baud), b'', 1
     try:
         port.open()
@@ -84,16 +79,15 @@ def _receive(url: str, baud: int, seconds: float, find: Callable[[bytes], Any],
 
 
 def _frames(board: Settings, data: bytes) -> List[Frame]:
-    decoder = lines.decoder(board, False)
+    decoder = board.decoder()
     frames = decoder.feed(data)
     while decoder.pending:
         frames += decoder.give_up()
     return frames
 
 
-def _valid(board: Settings, data: bytes) -> List[int]:
-    """The sizes of the valid frames of a board."""
-    return [len(frame.raw) for frame in _frames(board, data) if frame.message is not None]
+def _answers(board: Settings, data: bytes) -> bool:
+    return any(frame.message is not None for frame in _frames(board, data))
 
 
 def recognised(boards: Iterable[Settings], data: bytes) -> str:
@@ -104,8 +98,9 @@ def recognised(boards: Iterable[Settings], data: bytes) -> str:
     """
     name, most = '', 0
     for each in boards:
-        valid, invalid = _valid(each, data), sum(
-            len(frame.raw) for frame in _frames(each, data) if frame.cause not in ('', UNKNOWN))
+        frames = _frames(each, data)
+        valid = [len(frame.raw) for frame in frames if frame.message is not None]
+        invalid = sum(len(frame.raw) for frame in frames if frame.cause not in ('', UNKNOWN))
         if len(valid) >= _FRAMES and sum(valid) > max(invalid, most):
             name, most = each.board.name, sum(valid)
     return name

@@ -1,5 +1,4 @@
 """Calls a service of the bridge, now or never."""
-import argparse
 import enum
 import time
 from typing import Any, NamedTuple, Tuple
@@ -10,7 +9,6 @@ from rospy.exceptions import TransportException, TransportInitError
 
 from ...link.outcome import LOOK, NOT_SENT
 from ...ros.fields import outcome_fields
-from .topics import NODE
 
 MOST_WAIT = 2.0     # s for the bridge to answer
 _REFUSED = NOT_SENT, 3, 255      # statuses of a call that was not executed: also ERROR, INVALID
@@ -18,8 +16,6 @@ _REFUSED = NOT_SENT, 3, 255      # statuses of a call that was not executed: als
 
 def node_argument(name: str) -> str:
     """For argparse: a node's full name. A name without / is in this shell's ROS_NAMESPACE."""
-    if not rosgraph.names.is_legal_name(name) or name.startswith('~') or not name.strip('/'):
-        raise argparse.ArgumentTypeError(f'{name!r} is not a valid node name, such as {NODE}')
     return rosgraph.names.resolve_name(name.rstrip('/'),
                                        rosgraph.names.get_ros_namespace() + 'a_program')
 
@@ -54,10 +50,9 @@ def call(name: str, service_class: Any, request: Any, deadline: float) -> Answer
         rospy.wait_for_service(name, MOST_WAIT)
     except rosgraph.MasterException:
         return Answer(Verdict.REFUSED, 'nothing was sent: no bridge offers this service now')
-    except OSError:
-        return Answer(Verdict.REFUSED, 'nothing was sent: the ROS master does not answer')
-    except rospy.ROSException:
-        return Answer(Verdict.REFUSED, 'nothing was sent: the bridge does not answer')
+    except (OSError, rospy.ROSException):
+        return Answer(Verdict.REFUSED, 'nothing was sent: the bridge or the ROS master does not '
+                      'answer')
     if time.monotonic() > deadline:
         return Answer(Verdict.REFUSED, 'nothing was sent: master and bridge took more than '
                       f'{MOST_WAIT:g} s to answer; call again')

@@ -107,7 +107,6 @@ class BridgeState:
         self.master_at: Optional[float] = None     # when the master answered last
         self.registered: Optional[bool] = None     # whether the master knows the node
         self.parameters: Dict[str, Any] = {}       # private ones, nested; empty until known
-        self.subscribed: Dict[str, str] = {}       # type of each topic that it subscribes to
         self.boards = boards_of({})                # by these parameters
         self.topics: List[TopicState] = []
         self.links: Dict[str, Optional[LinkState]] = {}
@@ -154,8 +153,7 @@ class BridgeState:
         """Return why nothing new can be received, in words; '' while the bridge reports."""
         reported = self.reported_at()
         if self.master_at is None or now - self.master_at > _MASTER_TIMEOUT:
-            age = '' if self.master_at is None else f' for {ago(now - self.master_at)}'
-            return f'no answer from the ROS master at {self.master}{age}'
+            return f'no answer from the ROS master at {self.master}'
         if reported is not None and now - reported <= _PERIODS_TO_STALE * _LINK_PERIOD:
             return ''
         if self.registered is False:

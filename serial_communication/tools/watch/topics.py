@@ -15,9 +15,9 @@ from ...framing.layout import BOARD_TIME
 from ...framing.row_reader import Group
 
 NODE = '/serial_communication'           # the bridge's default name
-LINKS = BOARDS                           # in this order, before links of other packages
 DIAGNOSTICS = '/diagnostics'
 SERIAL_MSG = 'serial_msg'
+_OF_ALL_NODES = '/clock', '/diagnostics', '/rosout', '/tf', '/tf_static'
 _SETTINGS = '~settings/'      # of dynamic_reconfigure; /diagnostics has the values
 _MOST_ITEMS = 16     # of an array that are shown
 
@@ -57,7 +57,6 @@ class BridgeTopic(NamedTuple):
     ages: bool = True                 # False: published only on change, so never stale
     optional: bool = False            # only some boards send it
     fields: Tuple[str, ...] = ()      # of a custom message: the `fields` of its row
-    card: Optional[str] = ''          # as `Topic` in boards/description.py has it
 
     def values(self, message: Any) -> List[FieldValue]:
         """Return the numbers, flags and texts of a message of this topic."""
@@ -68,8 +67,6 @@ class BridgeTopic(NamedTuple):
 
     def words(self, message: Any) -> str:
         """Return a message of this topic as one line of text."""
-        if self.type in _WORDS and not self.fields:
-            return one_line(_WORDS[self.type](message))
         values = self.values(message)
         return one_line(', '.join(f'{value.name} {value.text()}' * (len(values) > 1)
                                   or value.text() for value in values))
@@ -80,19 +77,11 @@ def board_topics(board: Description, parameters: Any = None) -> List[BridgeTopic
     own = board_parameters(parameters, board.name)
     return [BridgeTopic(topic.name, topic.type, (board.name,),
                         _number(own.get(topic.period_parameter)) or topic.period,
-                        topic.ages, topic.optional, card=topic.card) for topic in board.published]
+                        topic.ages, topic.optional) for topic in board.published]
 
 
 def _number(value: Any) -> Optional[float]:
     return float(value) if isinstance(value, (int, float)) else None
-
-
-TOPICS = (BridgeTopic(SERIAL_MSG, 'serial_communication/SerialMsg', LINKS, card=None),
-          *(topic for board in descriptions() for topic in board_topics(board)),
-          BridgeTopic('/tf', 'tf2_msgs/TFMessage', LINKS, card=None),
-          BridgeTopic('/tf_static', 'tf2_msgs/TFMessage', LINKS, ages=False, card=None),
-          BridgeTopic(DIAGNOSTICS, 'diagnostic_msgs/DiagnosticArray', LINKS, 1.0, card=None))
-TABLE = {topic.name: topic for topic in TOPICS}
 
 
 # -- names ---------------------------------------------------------------------------------------
@@ -140,7 +129,8 @@ def boards_of(parameters: Any) -> List[Description]:
 
 def published_topics(node: str, published: Dict[str, str], parameters: Any,
                      boards: Iterable[Description]) -> List[BridgeTopic]:
-    """Return the topics of one bridge: those in `TABLE`, in its order, then the others by name.
+    """Return the topics of one bridge: those of its boards, in their order, then the others by
+    name. Those on which every node publishes are left out.
 
     Args:
         node: its full name, such as /serial_communication.
@@ -148,17 +138,17 @@ def published_topics(node: str, published: Dict[str, str], parameters: Any,
         parameters: its private parameters, nested as on the parameter server.
         boards: `boards_of` these parameters.
     """
-    topics = {**TABLE, **{
-        topic.name: topic for board in boards
-        for topic in (*board_topics(board, parameters), *row_topics(board, parameters))}}
+    known = {topic.name: topic for topic in (
+        topic for board in boards
+        for topic in (*board_topics(board, parameters), *row_topics(board, parameters)))}
     names = {relative(full_name, node): type_ for full_name, type_ in published.items()
-             if full_name not in ('/rosout', '/clock')
+             if full_name not in _OF_ALL_NODES
              and not relative(full_name, node).startswith(_SETTINGS)}
-    return [topics.get(name, BridgeTopic(name, names[name]))._replace(type=names[name])
-            for name in in_order(names, TABLE)]
+    return [known.get(name, BridgeTopic(name, ''))._replace(type=names[name])
+            for name in in_order(names, known)]
 
 
-def in_order(names: Iterable[str], first: Iterable[str] = LINKS) -> List[str]:
+def in_order(names: Iterable[str], first: Iterable[str] = BOARDS) -> List[str]:
     """Sort names for display: those in `first` in its order, then the others by name."""
     given = set(names)
     return [name for name in dict.fromkeys([*first, *sorted(given)]) if name in given]
@@ -236,27 +226,18 @@ def _imu(message: Any) -> List[FieldValue]:
               math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z)))
     found = [FieldValue(name, math.degrees(angle), 'deg', 1)
              for name, angle in zip(('roll', 'pitch', 'yaw'), angles)]
-    for vector, covariance, name, unit, digits in (
-            (message.angular_velocity, message.angular_velocity_covariance,
-             'rate', 'rad/s', 3),
-            (message.linear_acceleration, message.linear_acceleration_covariance,
-             'acceleration', 'm/s^2', 2)):
-        if covariance[0] != -1:      # -1: not measured
-            found += [FieldValue(f'{name} {axis}', getattr(vector, axis), unit, digits)
-                      for axis in 'xyz']
+    for name, unit, digits in (('angular_velocity', 'rad/s', 3),
+                               ('linear_acceleration', 'm/s^2', 2)):
+        if getattr(message, name + '_covariance')[0] != -1:      # -1: not measured
+            found += [each._replace(unit=unit, digits=digits)
+                      for each in leaves(name, getattr(message, name))]
     return found
 
 
-_NO_READING = 65535     # mm, of a range in McuStatus2
-
-
-def _millimetres(value: int) -> float:
-    return math.nan if value == _NO_READING else value
-
-
-def _status(message: Any, values: List[FieldValue]) -> List[FieldValue]:
-    return [FieldValue('valid', message.valid), *values,
-            FieldValue('age', message.last_frame_age_sec, 's', 2)]
+def _status(message: Any) -> List[FieldValue]:
+    """The measurements in a status of the sensor board, and whether they are valid."""
+    return [each for each in leaves('', message)
+            if each.name not in ('stamp', 'seq', 'connected', 'crc_error_count')]
 
 
 # Type to numbers. For any other type they are the numbers, flags and texts of its fields.
@@ -272,25 +253,10 @@ _VALUES = {
         FieldValue('smoke', m.smoke, '', 0),
         FieldValue('temperature', m.temperature, 'degrees C', 2),
         FieldValue('humidity', m.humidity, '%', 2)],
-    'serial_communication/McuStatus': lambda m: _status(m, [
-        FieldValue(f'adc{channel}', getattr(m, f'adc{channel}'), '', 0, 0, 4095)
-        for channel in range(6)]),
-    'serial_communication/McuStatus2': lambda m: _status(m, [
-        FieldValue('range 1', _millimetres(m.vl53_1), 'mm', 0),
-        FieldValue('range 2', _millimetres(m.vl53_2), 'mm', 0),
-        FieldValue('yaw', m.yaw, 'deg', 1), FieldValue('pitch', m.pitch, 'deg', 1),
-        FieldValue('roll', m.roll, 'deg', 1)]),
-    'serial_communication/SteeringFeedback': lambda m: [
-        FieldValue('steering angle', m.value, '', 0)],
+    'serial_communication/McuStatus': _status,
+    'serial_communication/McuStatus2': _status,
+    'serial_communication/SerialMsg': lambda m: [FieldValue(
+        'frame', f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}")],
     'serial_communication/Ticks': lambda m: [FieldValue('ticks', m.value, 'in 10 ms', 0)],
     'serial_communication/Voltage': lambda m: [FieldValue('voltage', m.value, 'V', 2)],
-}
-# Type to text. For any other type it is the text of its numbers.
-_WORDS = {
-    'serial_communication/SerialMsg': lambda m:
-        f"{m.link} {'sent' if m.direction else 'received'} {m.error or m.text}",
-    'tf2_msgs/TFMessage': lambda m: ', '.join(
-        f'{each.child_frame_id} in {each.header.frame_id}' for each in m.transforms),
-    'diagnostic_msgs/DiagnosticArray': lambda m: '; '.join(
-        f'{each.name}: {each.message}' for each in m.status),
 }

@@ -6,6 +6,7 @@ appear by themselves.
 """
 import threading
 import time
+from contextlib import suppress
 from typing import Any, Callable, Dict, Iterable, Optional
 
 import roslib.message
@@ -13,11 +14,45 @@ import rosgraph
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 
+from ...ros.master import ask
 from .state import BridgeState, LinkState
 from .topics import DIAGNOSTICS, BridgeTopic, absolute, expected_links, published_topics
 
 _ASK_EVERY = 1.0      # s between two requests to the master
+_TRY_EVERY = 0.1      # s, while none answers
+_FIRST_REPORT, _REPORT_EVERY = 3.0, 10.0   # s of waiting for one
 _BUFFER = 1 << 18     # bytes; with rospy's 64 KiB the latest message waits behind older ones
+
+
+def wait_for_master(stopping: threading.Event, say: Callable[[str], object],
+                    patience: float = float('inf')) -> bool:
+    """Wait for a ROS master, for `patience` s at most; return whether one answers.
+
+    Args:
+        stopping: ends the waiting when set.
+        say: called with a line of text after 3 s, then every 10 s.
+    """
+    uri, began = rosgraph.get_master_uri(), time.monotonic()
+    due = began + _FIRST_REPORT
+    while not stopping.is_set() and time.monotonic() < began + patience:
+        with suppress(Exception):
+            ask(uri, 'getPid')
+            return True
+        if time.monotonic() >= due:
+            say(f'waiting for the ROS master at {uri}; start one with roscore, or set '
+                'ROS_MASTER_URI')
+            due = time.monotonic() + _REPORT_EVERY
+        stopping.wait(_TRY_EVERY)
+    return False
+
+
+def unpack(topic: BridgeTopic, data: bytes) -> Any:
+    """Deserialize a message of a topic; ValueError if its type is not installed here, and whatever
+    genpy raises if it is of another type."""
+    found = roslib.message.get_message_class(topic.type)
+    if found is None:
+        raise ValueError(f'the type {topic.type} is not installed here')
+    return found().deserialize(data)
 
 
 class Watcher:
@@ -64,22 +99,10 @@ class Watcher:
             if latest is None:
                 continue
             try:
-                each.words = each.topic.words(self.unpack(each.topic, latest))
+                each.words = each.topic.words(unpack(each.topic, latest))
             except Exception as error:  # pylint: disable=broad-except
                 # The message may be of another version of the type.
                 each.words = f'not as expected: {error}'
-
-    def unpack(self, topic: BridgeTopic, data: bytes) -> Any:
-        """Deserialize a message of a topic.
-
-        Raises:
-            ValueError: the type is not installed here.
-            Exception: whatever genpy raises where it is not of the topic's type.
-        """
-        found = roslib.message.get_message_class(topic.type)
-        if found is None:
-            raise ValueError(f'the type {topic.type} is not installed here')
-        return found().deserialize(data)
 
     # -- messages --------------------------------------------------------------------------
 
@@ -153,8 +176,6 @@ class Watcher:
             state.set_topics(published_topics(
                 state.node, {name: types.get(name, '*') for name in published},
                 state.parameters, state.boards))
-            state.subscribed = {name: types.get(name, '*') for name, nodes in subscribers
-                                if state.node in nodes}
             # A restarted master knows neither this node nor, at first, the bridge. Messages still
             # arrive over the old connections, which are kept until the bridge has registered.
             ours = {name for name, nodes in subscribers if rospy.get_name() in nodes}

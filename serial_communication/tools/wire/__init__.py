@@ -1,4 +1,1 @@
-"""rosrun serial_communication wire: explain, show and play back a serial line.
-
-Each program is a module, which `cli` selects.
-"""
+"""`wire`: explain, show and play back a serial line. See cli.py."""

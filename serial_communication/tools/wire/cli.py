@@ -1,9 +1,6 @@
 """The program `wire`: runs the module that the command line names. See `wire --help`."""
 import argparse
-import re
 import signal
-import sys
-from typing import List, Optional
 
 from ...output import end_with_output, prepare_output
 from . import explain, listen, play
@@ -11,22 +8,14 @@ from .lines import WireError, note
 
 PROGRAMS = {'explain': explain, 'listen': listen, 'play': play}
 
-_DESCRIPTION = """\
-What is on a serial line, in bytes and in words. Each program below has a --help.
 
-  wire explain arduino 03 08 02 00
-  wire listen mcu /dev/ttyUSB0
-  wire play drive.bag mcu /tmp/board
-"""
-
-
-def main(arguments: Optional[List[str]] = None) -> int:
+def main() -> int:
     """Run the program that the command line names, and return the exit status."""
     prepare_output()
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)     # as Ctrl-C
     try:
-        return end_with_output(lambda: _run(sys.argv[1:] if arguments is None else arguments))
+        return end_with_output(_run)
     except KeyboardInterrupt:
         return 130
     except WireError as error:
@@ -37,23 +26,18 @@ def main(arguments: Optional[List[str]] = None) -> int:
         return 1
 
 
-def _run(arguments: List[str]) -> int:
-    # roslaunch adds __name:=… and remappings.
-    arguments = [each for each in arguments if not re.match(r'[\w/~]+:=', each)]
-    parser = argparse.ArgumentParser(prog='wire', description=_DESCRIPTION,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+def _run() -> int:
+    parser = argparse.ArgumentParser(
+        prog='wire', description='What is on a serial line, in bytes and in words.',
+        epilog='Each program has a --help.')
     programs = parser.add_subparsers(dest='program', metavar='PROGRAM', required=True)
     for name, module in PROGRAMS.items():
         module.add_options(programs.add_parser(
             name, help=module.SUMMARY, description=module.__doc__,
             formatter_class=argparse.RawDescriptionHelpFormatter))
-    options, rest = parser.parse_known_args(arguments)
+    options, rest = parser.parse_known_args()
     if 'hex' in options and not any(each.startswith('--') for each in rest):
         options.hex += rest     # bytes after an option, which argparse does not collect
     elif rest:
         parser.error(f'unrecognized arguments: {" ".join(rest)}')
     return PROGRAMS[options.program].run(options)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

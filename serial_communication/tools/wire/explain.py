@@ -25,7 +25,6 @@ from .lines import Settings
 
 SUMMARY = 'explain bytes, field by field, and what is wrong with them'
 
-_FORMS = r"bytes are written A5 02 55, a50255, 0xA5,0x02, \xa5\x02, b'\xa5\x02' or [165, 2]"
 _MOST_BYTES = 8         # of a field on one line; a longer field continues on the next
 
 
@@ -52,18 +51,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `wire explain`."""
     lines.add_options(parser)
     parser.add_argument('hex', metavar='HEX', nargs='*', help='the bytes; - for standard input')
-    one = parser.add_mutually_exclusive_group()
-    one.add_argument('--sent', action='store_const', const=True, dest='sent',
-                     help='the computer sent the bytes (bus: a request)')
-    one.add_argument('--received', action='store_const', const=False, dest='sent',
-                     help='the board sent the bytes (bus: a reply)')
 
 
 def run(options: argparse.Namespace) -> int:
     """Explain the bytes and return the exit status."""
     line = lines.settings(options)
     text = ' '.join(options.hex) if options.hex and options.hex != ['-'] else sys.stdin.read()
-    found = explain(parse(text), line, options.sent)
+    found = explain(parse(text), line)
     print('\n\n'.join(map(render, found)) or 'only empty packets')
     return 1 if any(each.trouble for each in found) else 0
 
@@ -79,9 +73,9 @@ def parse(text: str) -> bytes:
             digits = [re.sub(r'^(0x|\\x|\$)', '', token, flags=re.I) for token in tokens]
             data = b''.join(bytes.fromhex('0' * (len(each) == 1) + each) for each in digits)
     except (ValueError, SyntaxError):
-        raise NotHex(f'{text[:40]!r} is not hex; {_FORMS}') from None
+        raise NotHex(f'{text[:40]!r} is not hex: see --help') from None
     if not data:
-        raise NotHex(f'there are no bytes; {_FORMS}')
+        raise NotHex('there are no bytes')
     return data
 
 

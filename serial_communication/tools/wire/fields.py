@@ -65,7 +65,7 @@ class Explainer:
     """Finds the parts of frames in one direction of a line; RowError as `Description.decoder`."""
 
     def __init__(self, line: lines.Settings, sent: bool) -> None:
-        self.decoder: Any = lines.decoder(line, sent)
+        self.decoder: Any = line.decoder(sent)
         self._sent = sent
         self._has_cmd2 = sent or bool(line.parameters.get('reply_has_cmd2'))
         self._functions: Dict[Any, Any] = {}       # of the bus
@@ -74,11 +74,8 @@ class Explainer:
             self._functions = {**bus.BUILT_IN, **{(row.cmd1, row.number): row for row in rows}}
 
     def parts(self, raw: bytes, request: Any = None) -> List[Part]:
-        """Return the parts of one frame, valid or not, incomplete, or of noise.
-
-        Args:
-            request: of the bus, that the frame answers, if known; it says what the DATE means.
-        """
+        """Return the parts of one frame, valid or not, incomplete, or of noise. On the bus the
+        `request` that it answers, if known, says what the DATE means."""
         decoder, frames = self.decoder, self.decode(raw)
         if not frames or isinstance(decoder, StreamDecoder) and raw[0] not in decoder.STARTS:
             return _Parts(raw).take_rest('noise', 'no frame begins with these bytes')
@@ -90,18 +87,14 @@ class Explainer:
         if isinstance(decoder, (arduino.Decoder, arduino.BoardDecoder)):
             return self._cobs(raw, frames[0])
         parts, frame = _Parts(raw), frames[0]      # of a board of another package
-        parts.take(self._size or len(frame.raw), 'frame', '' if frame.cause else frame.text,
-                   frame.error)
+        parts.take(len(frame.raw), 'frame', '' if frame.cause else frame.text, frame.error)
         return parts.take_rest('more', 'does not belong to the frame')
 
     def decode(self, data: bytes) -> List[Frame]:
         """The frames and noise in these bytes, of which nothing follows."""
         decoder = self.decoder
         decoder.reset()
-        before = decoder.received
         frames: List[Frame] = decoder.feed(data)
-        # Of an incomplete frame, as far as is known.
-        self._size = decoder.front - before + decoder.needed if decoder.begun and not frames else 0
         while decoder.pending:
             frames += decoder.give_up()
         return frames
@@ -152,11 +145,11 @@ class Explainer:
                 places.append(at)
         decoded = bytes(with_zeros[place] for place in places)
         layout, words = self._by_type(decoded, decoded[1:])
-        header, data, parts = _Parts(decoded, {'type': words}), _Parts(decoded, at=1), _Parts(raw)
+        inner, parts = _Parts(decoded, {'type': words}), _Parts(raw)
         if decoded:
-            header.take_data(1, 'type', _ARDUINO)
-            data.take_data(len(decoded) - 1, 'data', layout, frame.message)
-        for part in header.found + data.found:
+            inner.take_data(1, 'type', _ARDUINO)
+            inner.take_data(len(decoded) - 1, 'data', layout, frame.message)
+        for part in inner.found:
             if part.data and places[part.start] > parts.at:
                 parts.take(places[part.start] - parts.at, 'COBS code', 'the packet without zeros')
             behind = places[part.end - 1] + 1 if part.data else parts.at

@@ -29,6 +29,19 @@ class Settings(NamedTuple):
     baud: int
     parameters: Mapping[str, Any] = {}       # the board's, as the bridge has them
 
+    def decoder(self, sent: bool = False) -> Decoder:
+        """A decoder of what the board sends, or of what is `sent` to it."""
+        return self.board.decoder(sent, self.parameters)
+
+
+def settings_of(board: Description, parameters: Any, **more: Any) -> Settings:
+    """The settings of a board by the bridge's parameters, and `more` of the board's; RowError for
+    a mistake in them."""
+    own = {**board_parameters(parameters, board.name), **more}
+    line = Settings(board, board.baud_of(own), own)
+    line.decoder()
+    return line
+
 
 def add_options(parser: argparse.ArgumentParser, with_port: bool = False) -> None:
     """Add LINK and --config; and PORT with its baud rate."""
@@ -47,33 +60,21 @@ def add_options(parser: argparse.ArgumentParser, with_port: bool = False) -> Non
 
 
 def settings(options: argparse.Namespace) -> Settings:
-    """Return the settings from the command line.
-
-    Raises:
-        UsageError: the link is unknown, or --config or --baud cannot be used.
-    """
+    """The settings from the command line; UsageError if the link is unknown, or --config or --baud
+    cannot be used."""
     try:
         parameters = read_parameters(options.config) if options.config else {}
         others = () if options.link in BOARDS else map(description, board_packages(parameters))
         board = next((each for each in others if each.name == options.link), None) \
             or description(options.link)
-        own = board_parameters(parameters, board.name)
-        if options.baud is not None:
-            own['baud'] = options.baud
-        line = Settings(board, board.baud_of(own), own)
-        decoder(line, False)
+        return settings_of(board, parameters, **({} if options.baud is None else
+                                                 {'baud': options.baud}))
     except BoardError as error:
         raise UsageError(f'there is no board {options.link}, only {", ".join(BOARDS)}; for a board '
                          'of another package give its package, or --config with the parameter '
                          f'`boards`: {error}') from None
     except (OSError, ValueError) as error:
         raise UsageError(str(error)) from None
-    return line
-
-
-def decoder(line: Settings, sent: bool) -> Decoder:
-    """Return a decoder of what the board sends, or of what is `sent` to it."""
-    return line.board.decoder(sent, line.parameters)
 
 
 def note(text: str) -> None:

@@ -1,11 +1,7 @@
 """Sends what a board sent, from a recording, at the recorded intervals.
 
 A recording is a bag of serial_msg (rosbag record /serial_msg), or what wire listen has printed. A
-bridge at the other end of the port then receives what the one on the robot did:
-
-  socat -d -d pty,raw,echo=0,link=/tmp/bridge pty,raw,echo=0,link=/tmp/board &
-  roslaunch serial_communication bridge.launch mcu_port:=/tmp/bridge &
-  wire play drive.bag mcu /tmp/board
+bridge at the other end of the port then receives what the one on the robot did.
 
 Noise, incomplete frames and frames with a wrong checksum are left out. What the bridge sends to the
 port is read and dropped. So on the bus no call succeeds: no recorded reply has the random number of
@@ -96,7 +92,7 @@ def printed(path: str) -> Recorded:
 
 def whole(recorded: Recorded, line: lines.Settings) -> Recorded:
     """Return those that are one frame each, valid or of an unknown type."""
-    decoder = lines.decoder(line, False)
+    decoder = line.decoder()
     frames = []
     for at, data in recorded:
         found = decoder.feed(data)

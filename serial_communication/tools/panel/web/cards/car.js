@@ -20,7 +20,7 @@ export class Car {
     if (this.element.hidden || !angles.every(Number.isFinite)) return;
     setAttribute(this._canvas, 'data-state', imu.state(now));
     // More feedback is to the right.
-    const steer = (1 - 2 * (steering.value('steering angle') ?? FULL / 2) / FULL) * MOST;
+    const steer = (1 - 2 * (steering.value('value') ?? FULL / 2) / FULL) * MOST;
     const shape = JSON.stringify([...angles.map(Math.round), steer.toFixed(2),
       this._canvas.clientWidth]);
     if (shape === this._drawn) return;
