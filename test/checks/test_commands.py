@@ -18,10 +18,10 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 
 import pytest
-import rospy
-from diagnostic_msgs.msg import DiagnosticArray
+import yaml
 from pages import PAGES, ROOT, blocks
 from waiting import PATIENCE, again_if_stalled, until
 
@@ -65,23 +65,24 @@ class Stage:
                 path = folder / block.mark.partition(' ')[2]
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_text(block.text)
-        rospy.init_node('pages', disable_signals=True)
-        rospy.Subscriber('/diagnostics', DiagnosticArray, self._take)
+        # Not by rospy: a process has one node, and this one may be that of other tests.
+        self.echo = subprocess.Popen(['rostopic', 'echo', '/diagnostics'], text=True,
+                                     stdout=subprocess.PIPE)
+        threading.Thread(target=self._take, daemon=True).start()
 
-    def _take(self, message):
-        for status in message.status:
-            if status.values:       # else it only says that the node starts
-                # Some versions of genpy have bytes here.
-                level = ord(status.level) if isinstance(status.level, bytes) else status.level
-                link = status.name.rpartition(': ')[2].split()[0]
-                self.levels[link] = min(level, self.levels.get(link, level))
+    def _take(self):
+        for message in yaml.safe_load_all(self.echo.stdout):
+            for status in message['status'] if message else ():
+                link = status['name'].rpartition(': ')[2].split()[0]
+                self.levels[link] = min(status['level'],
+                                        self.levels.get(link, status['level']))
 
     @contextlib.contextmanager
     def background(self, *commands):
         """Run commands until the block ends, without parameters of a bridge that ran before."""
         self.levels, running = {}, []
-        if rospy.has_param('/serial_communication'):
-            rospy.delete_param('/serial_communication')
+        subprocess.run(['rosparam', 'delete', '/serial_communication'], check=False,
+                       stderr=subprocess.DEVNULL)
         try:
             with (self.folder / 'output').open('a') as output:
                 for command in commands:
