@@ -9,7 +9,7 @@ from collections import defaultdict
 import pytest
 from by_definition import (ADC, ANNOUNCEMENT, ECHO, FUNCTION, SETTING, SYNC, arduino_at,
                            arduino_packet, decode, mcu_at, mcu_frame, reply_at, request_at)
-from decoding import hexed
+from decoding import hexed, vectors
 
 import compilers
 from board_rows import car_settings

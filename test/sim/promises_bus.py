@@ -175,7 +175,11 @@ def readings_are_of_the_environment(e: Evidence) -> Verdicts:
         wanted = tuple(round(value * factor) for value, factor in zip(values, (1, 100, 100)))
         at = next((place for place in range(index, len(sent)) if sent[place].time <= time
                    and struct.unpack('<HhH', sent[place].data) == wanted), None)
-        yield 1, '' if at is not None else f'the reading {values} at {time:.3f}'
+        # The XOR of damaged bytes may be right.
+        is_valid = any(e.story.device.damage_received) and struct.pack('<HhH', *wanted) in [
+            frame.data for frame in e.readable if frame.time <= time]
+        yield not is_valid, '' if is_valid or at is not None else \
+            f'the reading {values} at {time:.3f}'
         index = index if at is None else at + 1
 
 

@@ -231,7 +231,8 @@ def a_silent_pty_takes_no_command(e: Evidence) -> Verdicts:
         if opened > now or heard + limit + 0.2 > now or asks_for_zero(command) \
                 or not any(each < heard + 1e-6 for each in reads):
             continue
-        excused = closed < now + SLACK or overlaps(e.stalls[0], heard, now, 0.2)
+        # A board that calibrates is silent; the link looks again within 0.1 s.
+        excused = closed < now + SLACK or overlaps(e.stalls[0] + e.calibrations, heard, now, 0.2)
         yield not excused, '' if excused or command.refused else \
             f'{command.name} of {now:.3f} was accepted, silent since {heard:.3f}'
 
