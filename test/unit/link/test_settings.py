@@ -54,6 +54,9 @@ def test_it_is_sent_again_five_times_quickly_and_then_each_second_with_one_warni
     kp.report(2.0)
     kp.run(60.0)
     assert len(kp.times) == 10 and kp.state() == (2.0, 2.0, True)
+    kp.reset()      # the board may be another one
+    kp.run(60.0)
+    assert len(kp.times) == 11 and kp.state() == (None, 2.0, False)
 
 
 def test_a_value_that_the_board_limits_is_known_after_three_answers(kp):
