@@ -120,7 +120,8 @@ def stamps_are_of_the_read(e: Evidence) -> Verdicts:
 
 
 def stamps_are_of_the_measurement(e: Evidence) -> Verdicts:
-    """With the board's clock, stamps on an undamaged line are within 7 ms of the measurement."""
+    """With the board's clock, stamps on an undamaged line are within 7 ms of the measurement, 10 ms
+    behind an adapter of 16 ms."""
     device, drift = e.story.device, e.story.drift
     if drift is None or any(device.damage_received) or e.events('noise', 'altered'):
         return
@@ -140,7 +141,9 @@ def stamps_are_of_the_measurement(e: Evidence) -> Verdicts:
             longer(e.stalls[0], STALL) + e.events('reset', 'silence') + [
                 (each, each) for each in device.flushes], time - 3.0, time)
         at = min(times, key=lambda each: abs(each - stamp))
-        yield not excused, '' if excused or abs(stamp - at) <= 0.007 else \
+        # A line from few points may be 1 % too steep.
+        limit = 0.01 if device.hold > 0.01 else 0.007
+        yield not excused, '' if excused or abs(stamp - at) <= limit else \
             f'{name} of {at:.4f} has the stamp {stamp:.4f}, published {time:.4f}'
 
 
