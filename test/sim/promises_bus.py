@@ -417,11 +417,12 @@ def a_loan_waits_for_no_move(e: Evidence) -> Verdicts:
         if not task.answer or not task.answer[0]:
             continue
         closed = min((each for each in closings if each >= asked), default=float('inf'))
+        refusals = [each.time for each in e.of_type(e.readable, INVALID) if each.time <= asked]
         for called in e.story.calls:
             sent = _sent(e, called)
             cut = not called.repeatable and sent and sent[-1] < asked - SLACK and called.ended \
                 and asked < called.ended and closed <= called.ended <= closed + SLACK \
-                and not any(sent[-1] <= each.time <= asked for each in e.of_type(e.readable, INVALID))
+                and not any(sent[-1] <= each for each in refusals)
             yield not called.repeatable, '' if not cut or overlaps(
                 e.stalls[0] + e.events('unplugged', 'cut'), asked - 0.1, closed, 0.1) else \
                 f'{name} of {asked:.3f} ended {called.name} of {called.time:.3f}'
