@@ -91,7 +91,7 @@ class MasterSession(Session):
                 self.queue.doubt_refusals()
                 if call and event is Event.ANSWER:
                     cause, error = call.data_error(reply, self.options.echo)
-            if cause and error:
+            if cause:
                 self.errors[cause] += 1
                 self.log.warn('unexpected', error)
             if error:       # without ECHO the right reply may follow

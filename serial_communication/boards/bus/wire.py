@@ -139,7 +139,8 @@ class Function(Row):
             return '', ''
         if not self.reply.fits(size):
             return LENGTH, f'{size} bytes of data, {self.reply.sizes()} were expected'
-        return IMPLAUSIBLE, self.reply.implausible(self.reply.unpack(reply.data))
+        reason = self.reply.implausible(self.reply.unpack(reply.data))
+        return (IMPLAUSIBLE, reason) if reason else ('', '')
 
     def name_reply(self, reply: Reply) -> Reply:
         """Let the text of an OK with fitting data have the function's name."""
