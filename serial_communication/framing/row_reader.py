@@ -92,9 +92,9 @@ class Group(NamedTuple):
             is_setting, layout = number_key == 'setting', found['layout']
             message = found['message'] = message_class(
                 name, SETTING if is_setting else number, layout.layout, layout.values,
-                number_key * is_setting)
+                'setting' if is_setting else '')
             message.ANNOUNCED = origin == BOARD
-            message.NUMBER = bytes((number,)) * is_setting
+            message.NUMBER = bytes((number,)) if is_setting else b''
         return self.make(name, number, key=key, origin=origin, **found)
 
 

@@ -24,9 +24,10 @@ class BoardAnnouncement:
 
     def add(self, chunk: Chunk) -> None:
         """A chunk was received; called in the link's thread."""
-        text = self.assembly.add(chunk) if self.on_text else None
-        if text is not None and self.on_text:
-            self.on_text(text)
+        if self.on_text:
+            text = self.assembly.add(chunk)
+            if text is not None:
+                self.on_text(text)
 
     def use(self, text: bytes, firmware: str, rows: List[str]) -> None:
         """The rows of this text are in use from now on; any thread may call this."""

@@ -87,16 +87,15 @@ class Link:
     # -- for any thread -----------------------------------------------------------------
 
     def loops(self) -> Dict[str, Callable[[], float]]:
-        """What each thread of the link calls again and again. It sleeps until it is due, and
-        returns when it is due next."""
+        """What each thread of the link calls again and again; each returns when it is due next."""
         beats = {'heartbeat': self.writer.beat} if self.session.BEATS else {}
         return {'link': self.step, **beats}
 
     def start(self) -> None:
         """Start all threads of the link; none is started later."""
         for what, step in self.loops().items():
-            thread = threading.Thread(target=self._repeat, args=(step,), name=f'{self.name} {what}',
-                                      daemon=True)
+            thread = threading.Thread(target=self._repeat, args=(step, what == 'heartbeat'),
+                                      name=f'{self.name} {what}', daemon=True)
             thread.start()
             self._threads[what] = thread
         if self.session.BEATS:
@@ -104,11 +103,14 @@ class Link:
             self.log.info('priority', 'the heartbeat has real-time priority' if has_it else
                           _NO_PRIORITY)
 
-    def _repeat(self, step: Callable[[], float]) -> None:
-        """Call a step until it is never due again. Errors, and a lack of memory, do not end it."""
+    def _repeat(self, step: Callable[[], float], sleeps: bool) -> None:
+        """Call a step until it is never due again. Errors, and a lack of memory, do not end it. It
+        `sleeps` until a step is due that does not wait itself."""
         due = 0.0
         while due < _NEVER:
             try:
+                if sleeps:
+                    time.sleep(max(due - self.now(), 0.0))
                 due = step()
             except BaseException:  # pylint: disable=broad-except
                 with suppress(BaseException):       # there may be too little memory to log it

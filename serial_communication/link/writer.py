@@ -1,5 +1,4 @@
 """All that is written to a port, from any thread: requests, what stops, heartbeats."""
-import time
 from typing import Any, Callable, Sequence
 
 from ..framing.stream import Frame
@@ -27,7 +26,6 @@ class Writer:
         self.drops_input = False    # the decoder has to begin anew
         self._port, self._session, self._reopening = port, session, reopening
         self._clock, self._now = clock, now
-        self._beat_at = 0.0
 
     def submit(self, request: Any, stamp: Any = None) -> None:
         """Have the session take a request, which was made at `stamp` (None: unknown), and write
@@ -145,8 +143,7 @@ class Writer:
     # -- the heartbeat's thread -----------------------------------------------------------
 
     def beat(self) -> float:
-        """Sleep until a heartbeat or a zero is due, and write it; return when the next one is."""
-        time.sleep(max(self._beat_at - self._now(), 0.0))
+        """Write a heartbeat, and zeros, that are due; return when to be called next."""
         if self.has_ended:
             return _NEVER
         with self._session.lock:
@@ -158,10 +155,9 @@ class Writer:
                 is_usable = self._port.is_usable and not self.has_ended
                 if is_usable:
                     self.check_output(now)
-                # After a doubt zeros come first.
-                packets, self._beat_at = self._session.beat(now)
+                packets, due = self._session.beat(now)      # after a doubt zeros come first
                 if is_usable:
                     self.transmit(packets, now)
             except Refused:
                 pass        # the link's thread gets it, too, and logs it
-        return self._beat_at
+        return due

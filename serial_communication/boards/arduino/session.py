@@ -64,6 +64,10 @@ class CarSession(Session):
         self._motions: Dict[int, Motion] = {}      # by type
         self.add_motion(wire.SpeedCommand(0))
 
+    @property
+    def reads(self) -> bool:    # type: ignore[override]
+        return self.calibration is None
+
     # -- motions --------------------------------------------------------------------------
 
     def add_motion(self, zero: LayoutMessage) -> None:
@@ -172,7 +176,7 @@ class CarSession(Session):
         elif packet.type in self._motions:
             self._motions[packet.type].sent(message, now)
         elif isinstance(message, wire.ImuCalibration):
-            self.calibration, self.reads = Calibration(now), False
+            self.calibration = Calibration(now)
             self._on_calibrating(True)
 
     def not_sent(self, packet: Packet, why: str) -> None:
@@ -224,7 +228,7 @@ class CarSession(Session):
     def _end_calibration(self, why: str) -> None:
         """End the calibration, if there is one; '': it is not over."""
         if why and self.calibration:
-            self.calibration, self.reads = None, True
+            self.calibration = None
             if why in (BACK, _RESET):
                 self.log.info('calibrated', why)
             else:
