@@ -27,7 +27,7 @@ class ServerTest(AsyncHTTPTestCase):
         self.hub = Hub(SimpleNamespace(want=mock.Mock(), update=mock.Mock()), self.commands,
                        self.news, mock.Mock(), lambda: self.now)
         self.news.tell('state', 'node', '/bridge')
-        return application(Page, self.hub, (), TOKEN, self.get_http_port(), 'secret')
+        return application(Page, self.hub, (), TOKEN, self.get_http_port())
 
     def request(self, path, **headers):
         """GET with these headers; a body in `body`: POST. The status, headers and body."""

@@ -136,7 +136,7 @@ def _serve(options: argparse.Namespace) -> int:
         if options.control else None
     hub = Hub(Feed(bridge, worker, news), commands, news,
               SparingLog('panel', logging.getLogger('rosout')))
-    app = application(Page, hub, own_names(options.bind), token, port, token)
+    app = application(Page, hub, own_names(options.bind), token, port)
     server = tornado.httpserver.HTTPServer(app, max_body_size=_MAX_BODY, max_header_size=1 << 14,
                                            idle_connection_timeout=60)
     server.add_sockets(sockets)

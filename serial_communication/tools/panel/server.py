@@ -116,16 +116,16 @@ class Files(Guarded, tornado.web.StaticFileHandler):
     """Serves the folder web/."""
 
 
-def application(page: Any, hub: Any, names: Collection[str], token: str, port: int,
-                secret: str) -> tornado.web.Application:
+def application(page: Any, hub: Any, names: Collection[str], token: str,
+                port: int) -> tornado.web.Application:
     """The page, its files, and its connections, which are of the class `page`.
 
-    The port names the cookie, since a browser sends those of all ports of a host; `secret` signs
+    The port names the cookie, since a browser sends those of all ports of a host; the token signs
     it. `names` as `own_names`.
     """
     return tornado.web.Application(
         [(r'/socket', page, {'hub': hub}), (r'/token', Token),
          (r'/(.*)', Files, {'path': str(_WEB), 'default_filename': 'index.html'})],
-        names=names, token=token, cookie_name=f'panel_{port}', cookie_secret=secret, log=hub.log,
+        names=names, token=token, cookie_name=f'panel_{port}', cookie_secret=token, log=hub.log,
         websocket_ping_interval=_PING, websocket_max_message_size=_MAX_MESSAGE,
         log_function=lambda _handler: None)

@@ -9,10 +9,10 @@ import re
 from typing import Any, Dict, Iterable, List, NamedTuple, Optional, Tuple, Union
 
 from ...boards import BOARDS, description, descriptions
-from ...simulation.arguments import board_packages, board_parameters
 from ...boards.description import ANNOUNCED_GROUP, Description
 from ...framing.layout import BOARD_TIME
 from ...framing.row_reader import Group
+from ...simulation.arguments import board_packages, board_parameters
 
 NODE = '/serial_communication'           # the bridge's default name
 DIAGNOSTICS = '/diagnostics'
