@@ -131,10 +131,11 @@ install() {
         [[ $text != *ros-core* && $text != *python3-serial* ]] || fail "$text; see doc/install.md"
         say "$text; see doc/install.md. Going on without."
     fi
+    ((${#known[@]})) || return 0
     # What apt would do says how much that is.
     say "$("${as_root[@]}" install --assume-no --no-install-recommends "${known[@]}" 2>/dev/null |
         grep -E '^(Need to get|After this operation)' | tr '\n' ' ')"
-    ((${#known[@]} == 0)) || "${as_root[@]}" install --no-install-recommends "${known[@]}" ||
+    "${as_root[@]}" install --no-install-recommends "${known[@]}" ||
         fail "apt-get could not install ${known[*]}; see above."
 }
 
