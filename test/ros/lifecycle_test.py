@@ -179,6 +179,7 @@ class NewMaster(BoardsTest):
             return process.output()
         before = until(complete, 'the rows are in use', doing=announce, every=0.2)
         until(lambda: 'success: True' in call('stop', 'data: true'), 'it is stopped')
+        until(lambda: SPEED_0_PACKET not in car.raws[-30:], 'its repetitions are over')
         master.end()
         car.forget()
         car.wait_for_heartbeats(100)       # a master that is gone changes nothing
