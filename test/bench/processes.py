@@ -1,4 +1,4 @@
-"""The processes of the bench and of test/slow: a separate roscore, the node and other children.
+"""The processes of the bench: a separate roscore, the node and other children.
 
 All of them end with the `with` block, or with the process that started them, whatever happens.
 """
@@ -25,7 +25,7 @@ _GRACE = 6.0             # s that a child may take to end
 
 
 class StageError(RuntimeError):
-    """The campaign or the bench itself did not work; the text says why."""
+    """The bench itself did not work; the text says why."""
 
 
 _ENDS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
@@ -286,17 +286,6 @@ class Stage:
             if time.monotonic() > deadline:
                 raise StageError(f'not within {seconds:g} s: {what}')
             time.sleep(0.02)
-
-
-def usage_of(pid: int) -> Dict[str, float]:
-    """Return the resident MB, threads and open files of a process; empty if it has ended."""
-    try:
-        process = psutil.Process(pid)
-        with process.oneshot():
-            return {'memory': process.memory_info().rss / (1 << 20),
-                    'threads': process.num_threads(), 'files': process.num_fds()}
-    except (OSError, psutil.Error):
-        return {}
 
 
 def _descendants(pid: int) -> List[psutil.Process]:

@@ -20,6 +20,11 @@ class At(NamedTuple):
     begun: float        # when its first byte was there
     first: int          # its place among the bytes of its stream
 
+    @property
+    def content(self) -> Tuple[int, int, bytes]:
+        """The frame without its time and place."""
+        return self.type, self.number, self.data
+
 
 class Evidence:
     """The frames of one story."""

@@ -19,7 +19,7 @@ def calls_are_told_the_truth(e: Evidence) -> Verdicts:
         if len(group) > 1 or group[0].repeatable:
             continue
         # The line may double a request; the bridge must not. What is doubled comes at one time.
-        came = {frame.time for frame in e.got if (frame.type, frame.number, frame.data) == request}
+        came = {frame.time for frame in e.got if frame.content == request}
         called, times = group[0], min(len(set(executed.get(request, ()))), len(came))
         answer = told(called)
         if _may_take_another_reply(e, called):
@@ -34,7 +34,7 @@ def calls_are_told_the_truth(e: Evidence) -> Verdicts:
 def _may_take_another_reply(e: Evidence, called: Called) -> bool:
     """Whether the second reply to a request that the line has doubled may pass for that to this
     call: a silence is no fence against a reply that comes later."""
-    sent = [(frame.type, frame.number, frame.data) for frame in e.got
+    sent = [frame.content for frame in e.got
             if called.time - 5.0 < frame.time <= (called.ended or float('inf'))]
     return not e.story.parameters['echo'] and any(
         sent.count(request) > 1 for request in set(sent) if request[0] == FUNCTION)
@@ -102,9 +102,9 @@ def stale_calls_are_refused(e: Evidence) -> Verdicts:
                 continue
             if called.time < begin and called.ended and called.ended >= end:
                 late = [frame.time for frame in e.wrote if frame.begun > end + SLACK
-                        and (frame.type, frame.number, frame.data) == called.request]
+                        and frame.content == called.request]
                 before = [frame for frame in e.wrote if called.time <= frame.time <= end
-                          and (frame.type, frame.number, frame.data) == called.request]
+                          and frame.content == called.request]
                 yield 1, '' if before or not late or called.name in ('lift', 'gimbal') else \
                     f'{called.name} of {called.time:.3f} sent at {late}, a stall until {end:.3f}'
             if end < called.time < end + FRESH - SLACK:
@@ -191,7 +191,7 @@ def moves_are_repeated_only_after_invalid(e: Evidence) -> Verdicts:
     sent: Dict[Tuple, List[At]] = {}
     for frame in e.wrote:
         if frame.type == FUNCTION and frame.number in MOVES:
-            sent.setdefault((frame.type, frame.number, frame.data), []).append(frame)
+            sent.setdefault(frame.content, []).append(frame)
     for request, frames in sent.items():
         if calls.get(request, 0) > 1:
             continue
@@ -213,7 +213,7 @@ def readings_are_repeated(e: Evidence) -> Verdicts:
         if called.name != 'level':
             continue
         times = [frame.time for frame in e.wrote
-                 if (frame.type, frame.number, frame.data) == called.request]
+                 if frame.content == called.request]
         yield 1, '' if len(times) <= 3 else f'level of {called.time:.3f} was sent at {times}'
         if told(called) == 'not known' and times and called.ended:
             closed = e.opening_of(times[0])[1]
@@ -246,7 +246,7 @@ def calls_go_before_polls(e: Evidence) -> Verdicts:
     """No poll is sent while a call waits for its turn."""
     first: Dict[Tuple, float] = {}
     for frame in e.wrote:
-        first.setdefault((frame.type, frame.number, frame.data), frame.time)
+        first.setdefault(frame.content, frame.time)
     for frame in e.wrote:
         if frame.type != FUNCTION or frame.number != ENVIRONMENT:
             continue
@@ -310,7 +310,7 @@ def polls_do_not_pile_up(e: Evidence) -> Verdicts:
 def _sent(e: Evidence, called: Called) -> List[float]:
     """When the request of a call was written."""
     return [frame.time for frame in e.wrote
-            if (frame.type, frame.number, frame.data) == called.request
+            if frame.content == called.request
             and called.time <= frame.time <= (called.ended or frame.time)]
 
 
@@ -388,8 +388,8 @@ def refused_calls_are_repeated(e: Evidence) -> Verdicts:
     for refusal in e.of_type(e.read, INVALID):
         before = [frame for frame in _plain(e) if frame.time <= refusal.time][-1:]
         tries = [each for each in functions if before and each.time <= refusal.time
-                 and each[1:4] == before[0][1:4]]
-        called = calls.get(tries[-1][1:4]) if tries else None
+                 and each.content == before[0].content]
+        called = calls.get(tries[-1].content) if tries else None
         if called is None or tries[-1] is not before[0] or refusal.data[:1] not in b'\x40\x10':
             continue
         following = next((frame for frame in functions if frame.time > refusal.time), None)
@@ -406,7 +406,8 @@ def refused_calls_are_repeated(e: Evidence) -> Verdicts:
                 or frame.type == INVALID and frame is not refusal for frame in replies) \
             or refusal.time > called.time + 4.0 \
             or called.name in ('press', 'level') and e.story.announces
-        yield not excused, '' if excused or following and following[1:4] == before[0][1:4] else \
+        is_next = following is not None and following.content == before[0].content
+        yield not excused, '' if excused or is_next else \
             f'{called.name} of {called.time:.3f}, refused at {refusal.time:.3f}, was not repeated'
 
 
@@ -460,13 +461,13 @@ def unheard_moves_are_not_late(e: Evidence) -> Verdicts:
         if called.repeatable or told(called) != 'not known' or not called.ended:
             continue
         sent = [frame.time for frame in e.wrote
-                if (frame.type, frame.number, frame.data) == called.request]
+                if frame.content == called.request]
         # One that a stop has ended is followed by the stop.
         if len(sent) != 1 or called.ended < sent[0] + called.longest / 3 - SLACK or any(
                 sent[0] <= each <= called.ended for each in reads):
             continue
         late = [frame.time for frame in e.got if frame.time > called.ended + 0.015
-                and (frame.type, frame.number, frame.data) == called.request]
+                and frame.content == called.request]
         yield 1, '' if not late else \
             f'{called.name} of {called.time:.3f}, not known at {called.ended:.3f}, came at {late}'
 
@@ -515,7 +516,7 @@ def refusals_are_confirmed(e: Evidence) -> Verdicts:
         asked[called.request] = asked.get(called.request, 0) + 1
     for called in e.story.calls:
         sent = [frame.time for frame in e.wrote
-                if (frame.type, frame.number, frame.data) == called.request]
+                if frame.content == called.request]
         if asked[called.request] > 1 or not called.told \
                 or called.name in ('sync', 'environment', 'halt'):      # others send them, too
             continue
@@ -532,7 +533,7 @@ def calls_end_with_their_port(e: Evidence) -> Verdicts:
     """When the port closes, an outstanding call is not known, at once."""
     for called in e.story.calls:
         sent = [frame.time for frame in e.wrote
-                if (frame.type, frame.number, frame.data) == called.request
+                if frame.content == called.request
                 and called.time <= frame.time <= (called.ended or frame.time)]
         closed = e.opening_of(sent[-1])[1] if sent else float('inf')
         if called.name == 'halt' or not called.ended or closed > called.ended + 1e-6 \

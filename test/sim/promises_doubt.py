@@ -203,7 +203,7 @@ def an_unheard_move_is_a_doubt(e: Evidence) -> Verdicts:
         if called.repeatable or told(called) != 'not known' or not called.ended:
             continue
         sent = [frame.time for frame in e.wrote
-                if (frame.type, frame.number, frame.data) == called.request]
+                if frame.content == called.request]
         timeout = called.longest / 3
         if len(sent) != 1 or called.ended < sent[0] + timeout - SLACK or any(
                 sent[0] <= each <= called.ended for each in reads) \

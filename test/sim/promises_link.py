@@ -34,7 +34,7 @@ def sent_frames_are_tapped(e: Evidence) -> Verdicts:
         return      # a frame may be cut
     frames = decode(tapped, _decoders(e)[1], True)[0]
     yield len(frames), '' if [each.content for each in frames] == [
-        (each.type, each.number, each.data) for each in e.wrote] else \
+        each.content for each in e.wrote] else \
         f'{len(frames)} frames were tapped, {len(e.wrote)} were sent'
 
 
@@ -110,7 +110,7 @@ def errors_are_counted(e: Evidence) -> Verdicts:
 
 def damage_is_counted(e: Evidence) -> Verdicts:
     """The counts of errors are those that the definition of the protocol gives."""
-    device, sent = e.story.device, {(each.type, each.number, each.data) for each in e.sent}
+    device, sent = e.story.device, {each.content for each in e.sent}
     # A stall, and the loss of a port, drop what is not counted yet. When noise that comes byte by
     # byte, or in which a frame seems to begin, is given up, depends on the reads.
     end = min([begin for begin, _ in e.stalls[0] + e.events('altered', 'unplugged', 'cut')]
