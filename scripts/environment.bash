@@ -115,7 +115,7 @@ install() {
             "them: $*; run this as root or as a user with sudo."
         as_root=(sudo)
     fi
-    as_root+=(env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o DPkg::Lock::Timeout=300)
+    as_root+=(env DEBIAN_FRONTEND=noninteractive apt-get -q -o DPkg::Lock::Timeout=300)
     say "Installing packages: $*. Two to four minutes, once ..."
     "${as_root[@]}" update || true      # without a network, apt may have them in its cache
     for package; do
@@ -127,15 +127,17 @@ install() {
     done
     if ((${#lacking[@]})); then
         # shellcheck disable=SC1091
-        text="$(. /etc/os-release; echo "$PRETTY_NAME") has no package ${lacking[*]}"
-        [[ $text != *ros-core* && $text != *python3-serial* ]] || fail "$text; see doc/install.md"
-        say "$text; see doc/install.md. Going on without."
+        text="$(. /etc/os-release; echo "$PRETTY_NAME") has no package ${lacking[*]}."
+        [[ $text != *ros-core* && $text != *python3-serial* ]] || fail "$(fold -sw 78 <<<"$text
+How ROS 1 gets there: the table of systems in $checkout/doc/install.md.
+Then run this again.")"
+        say "$(fold -sw 74 <<<"$text Going on without.")"
     fi
     ((${#known[@]})) || return 0
-    # What apt would do says how much that is.
+    # What apt would do says how much that is. (apt 3 takes -y before --assume-no as a yes.)
     say "$("${as_root[@]}" install --assume-no --no-install-recommends "${known[@]}" 2>/dev/null |
         grep -E '^(Need to get|After this operation)' | tr '\n' ' ')"
-    "${as_root[@]}" install --no-install-recommends "${known[@]}" ||
+    "${as_root[@]}" install -y --no-install-recommends "${known[@]}" ||
         fail "apt-get could not install ${known[*]}; see above."
 }
 
