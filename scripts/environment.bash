@@ -30,6 +30,7 @@ END
 }
 
 say() { printf '==> %s\n' "$*" 2>/dev/null; }    # the reader of a pipe may have ended
+say_wrapped() { say "$(fold -sw 74 <<<"$*")"; }
 
 fail() {
     printf '%s: %s\n' "${0##*/}" "$*" >&2
@@ -116,7 +117,7 @@ install() {
         as_root=(sudo)
     fi
     as_root+=(env DEBIAN_FRONTEND=noninteractive apt-get -q -o DPkg::Lock::Timeout=300)
-    say "Installing packages: $*. Two to four minutes, once ..."
+    say_wrapped "Installing packages: $*. Some minutes, once ..."
     "${as_root[@]}" update || true      # without a network, apt may have them in its cache
     for package; do
         if apt-cache show "$package" &>/dev/null; then
@@ -128,10 +129,12 @@ install() {
     if ((${#lacking[@]})); then
         # shellcheck disable=SC1091
         text="$(. /etc/os-release; echo "$PRETTY_NAME") has no package ${lacking[*]}."
-        [[ $text != *ros-core* && $text != *python3-serial* ]] || fail "$(fold -sw 78 <<<"$text
-How ROS 1 gets there: the table of systems in $checkout/doc/install.md.
-Then run this again.")"
-        say "$(fold -sw 74 <<<"$text Going on without.")"
+        [[ $text != *ros-core* ]] || fail "${text%% has no*} has no packages of ROS 1.
+How it gets them, or a container: the table of systems in
+$checkout/doc/install.md.
+Then run this again."
+        [[ $text != *python3-serial* ]] || fail "$text See doc/install.md."
+        say_wrapped "$text Going on without."
     fi
     ((${#known[@]})) || return 0
     # What apt would do says how much that is. (apt 3 takes -y before --assume-no as a yes.)
