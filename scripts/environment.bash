@@ -24,7 +24,7 @@ browser  chromium chromium-driver python3-selenium
 avr      gcc-avr avr-libc arduino-core-avr avrdude simavr libsimavr-dev libelf-dev pkg-config
 ide      arduino-builder arduino-ctags
 esp      gcc-xtensa-lx106
-view     rviz=rviz python3-rviz=rviz ros-robot-state-publisher=robot-state-publisher libqt5svg5 xvfb
+view     rviz=rviz python3-rviz=rviz ros-robot-state-publisher=robot-state-publisher xvfb
 pictures imagemagick
 END
 }
