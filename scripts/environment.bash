@@ -94,14 +94,15 @@ missing_packages() {
 
 # needed_packages PREFIX NEED...
 needed_packages() {
-    local prefix=$1 need names name ros
+    local prefix=$1 need names name ros there
     packages | while read -r need names; do
         [[ " ${*:2} " == *" $need "* ]] || continue
         for name in $names; do
             ros=${name#*=}
+            there=${ros/ros-core/roslaunch}     # what was built from source has no metapackage
             if [[ $name != *=* || -z $prefix ]]; then
                 echo "${name%=*}"
-            elif [[ ! -e $prefix/share/${ros//-/_}/package.xml ]]; then    # nor built from source
+            elif [[ ! -e $prefix/share/${there//-/_}/package.xml ]]; then    # nor built from source
                 echo "ros-${prefix##*/}-$ros"
             fi
         done
