@@ -135,7 +135,7 @@ How it gets them, or a container: the table of systems in
 $checkout/doc/install.md.
 Then run this again."
         [[ $text != *python3-serial* ]] || fail "$text See doc/install.md."
-        say_wrapped "$text Going on without."
+        say_wrapped "$text See doc/install.md. Going on without."
     fi
     ((${#known[@]})) || return 0
     # What apt would do says how much that is. (apt 3 takes -y before --assume-no as a yes.)
