@@ -162,7 +162,8 @@ def a_doubt_is_fenced(e: Evidence) -> Verdicts:
 def a_doubt_is_told(e: Evidence) -> Verdicts:
     """A stall, and settings that another program changed, are told by a line."""
     lines = [time for time, level, _ in e.story.robot.said if level >= logging.WARNING]
-    doubts = list(_stalls(e)) + [(each, each) for each in e.story.device.restorations]
+    doubts = list(_stalls(e)) + [
+        (each, each) for each in e.story.device.restorations if not _calibrates(e, each)]
     for begin, end in doubts:
         excused = any(begin - _LINES < each < begin for each in lines) or \
             end + 1.3 > (e.story.ended or end)
