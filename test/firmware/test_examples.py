@@ -127,7 +127,7 @@ def test_a_sketch_of_ones_own_is_built_and_its_pins_are_driven_and_read(copy_of,
 def test_arduinos_own_builder_finds_the_library_and_compiles_an_example(tmp_path):
     libraries, hardware = tmp_path / 'libraries', '/usr/share/arduino/hardware'
     libraries.mkdir()
-    (libraries / 'SerialCommunicationProtocol').symlink_to(os.path.abspath(LIBRARY))
+    (libraries / 'PacketLink').symlink_to(os.path.abspath(LIBRARY))
     (tmp_path / 'build').mkdir()
     status, output = run(
         ['arduino-builder', '-compile', '-hardware', hardware,
