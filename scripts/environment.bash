@@ -30,6 +30,7 @@ END
 }
 
 say() { printf '==> %s\n' "$*" 2>/dev/null; }    # the reader of a pipe may have ended
+say_wrapped() { say "$(fold -sw 74 <<<"$*")"; }
 
 fail() {
     printf '%s: %s\n' "${0##*/}" "$*" >&2
@@ -93,14 +94,15 @@ missing_packages() {
 
 # needed_packages PREFIX NEED...
 needed_packages() {
-    local prefix=$1 need names name ros
+    local prefix=$1 need names name ros there
     packages | while read -r need names; do
         [[ " ${*:2} " == *" $need "* ]] || continue
         for name in $names; do
             ros=${name#*=}
+            there=${ros/ros-core/roslaunch}     # what was built from source has no metapackage
             if [[ $name != *=* || -z $prefix ]]; then
                 echo "${name%=*}"
-            elif [[ ! -e $prefix/share/${ros//-/_}/package.xml ]]; then    # nor built from source
+            elif [[ ! -e $prefix/share/${there//-/_}/package.xml ]]; then    # nor built from source
                 echo "ros-${prefix##*/}-$ros"
             fi
         done
@@ -115,8 +117,8 @@ install() {
             "them: $*; run this as root or as a user with sudo."
         as_root=(sudo)
     fi
-    as_root+=(env DEBIAN_FRONTEND=noninteractive apt-get -q -y -o DPkg::Lock::Timeout=300)
-    say "Installing packages: $*. Two to four minutes, once ..."
+    as_root+=(env DEBIAN_FRONTEND=noninteractive apt-get -q -o DPkg::Lock::Timeout=300)
+    say_wrapped "Installing packages: $*. Some minutes, once ..."
     "${as_root[@]}" update || true      # without a network, apt may have them in its cache
     for package; do
         if apt-cache show "$package" &>/dev/null; then
@@ -127,15 +129,19 @@ install() {
     done
     if ((${#lacking[@]})); then
         # shellcheck disable=SC1091
-        text="$(. /etc/os-release; echo "$PRETTY_NAME") has no package ${lacking[*]}"
-        [[ $text != *ros-core* && $text != *python3-serial* ]] || fail "$text; see doc/install.md"
-        say "$text; see doc/install.md. Going on without."
+        text="$(. /etc/os-release; echo "$PRETTY_NAME") has no package ${lacking[*]}."
+        [[ $text != *ros-core* ]] || fail "${text%% has no*} has no packages of ROS 1.
+How it gets them, or a container: the table of systems in
+$checkout/doc/install.md.
+Then run this again."
+        [[ $text != *python3-serial* ]] || fail "$text See doc/install.md."
+        say_wrapped "$text See doc/install.md. Going on without."
     fi
     ((${#known[@]})) || return 0
-    # What apt would do says how much that is.
+    # What apt would do says how much that is. (apt 3 takes -y before --assume-no as a yes.)
     say "$("${as_root[@]}" install --assume-no --no-install-recommends "${known[@]}" 2>/dev/null |
         grep -E '^(Need to get|After this operation)' | tr '\n' ' ')"
-    "${as_root[@]}" install --no-install-recommends "${known[@]}" ||
+    "${as_root[@]}" install -y --no-install-recommends "${known[@]}" ||
         fail "apt-get could not install ${known[*]}; see above."
 }
 

@@ -123,7 +123,9 @@ def fixture_stage(tmp_path_factory):
     os.environ.update(ROS_MASTER_URI=master.uri, PATH=f'/usr/bin:{os.environ["PATH"]}')
     try:
         master.start()
-        yield Stage(tmp_path_factory.mktemp('pages'))
+        stage = Stage(tmp_path_factory.mktemp('pages'))
+        yield stage
+        stage.echo.kill()
     finally:
         master.end()
 

@@ -8,7 +8,7 @@ import pytest
 
 ENVIRONMENT = Path(__file__).resolve().parents[2] / 'scripts' / 'environment.bash'
 PROGRAMS = {'apt-cache': '[[ $2 != ros-core* && $2 != socat ]]', 'sudo': '"$@"',
-            'apt-get': 'echo "${@:5}" >>asked'}
+            'apt-get': 'echo "${@:4}" >>asked'}
 
 
 @pytest.fixture(name='run')
@@ -48,7 +48,7 @@ def test_the_setup_of_the_prefix_is_sourced(run):
 
 @pytest.mark.parametrize('packages, status, asked', [
     ('ros-core-python-dev socat', 1, 'update'),      # a system without ROS
-    ('socat cmake', 0, 'install --no-install-recommends cmake')])
+    ('socat cmake', 0, 'install -y --no-install-recommends cmake')])
 def test_a_system_without_a_package_is_named_with_the_page(run, tmp_path, packages, status, asked):
     done = run('install ' + packages)
     assert done.returncode == status and 'doc/install.md' in done.stdout + done.stderr

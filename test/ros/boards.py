@@ -7,8 +7,10 @@ import shutil
 import sys
 import tempfile
 import unittest
+from contextlib import suppress
 from pathlib import Path
 from typing import Dict, NamedTuple
+from xmlrpc.client import ServerProxy
 
 import rosgraph
 import roslib.packages
@@ -133,7 +135,18 @@ class Topic:
         self._subscriber = rospy.Subscriber(name, message_class, self._take, queue_size=5000,
                                             tcp_nodelay=True)
         if wait:
-            until(lambda: self.publishers, '%s is published' % name)
+            until(lambda: self.publishers and self._is_added(), '%s is published' % name)
+
+    def _is_added(self):
+        """Whether a publisher sends to it: rospy's tells the subscriber so before it does."""
+        me, topic = rospy.get_name(), self._subscriber.resolved_name
+        master = rosgraph.Master(me)
+        for node in dict(master.getSystemState()[0]).get(topic, ()):
+            with suppress(rosgraph.MasterException, OSError):
+                rows = ServerProxy(master.lookupNode(node)).getBusInfo(me)[2]
+                if any([row[1], row[2], row[4]] == [me, 'o', topic] for row in rows):
+                    return True
+        return False
 
     @property
     def publishers(self):

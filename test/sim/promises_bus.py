@@ -501,7 +501,8 @@ def a_lost_synchronisation_is_restored(e: Evidence) -> Verdicts:
         closed = e.opening_of(frame.time)[1]
         excused = following is None or following.time > closed or not before \
             or before[-1].type == SYNC or overlaps(
-                e.stalls[0], frame.begun, frame.time, FRESH + 0.1)
+                e.stalls[0], frame.begun, frame.time, FRESH + 0.1) \
+            or e.story.parameters['echo'] and not e.story.echoes    # an ECHO times out first
         yield not excused, '' if excused or following.type == SYNC else \
             f'type {following.type} {following.number} at {following.time:.3f} after 0x10'
 

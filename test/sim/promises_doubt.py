@@ -294,14 +294,12 @@ def a_silent_pty_is_doubted(e: Evidence) -> Verdicts:
         excused = end < due + 0.3 or overlaps(
             e.stalls[0], last, due + 0.3, 0.2) or any(
             time < due + 0.3 for time, _ in e.story.robot.calibrating)
-        # Another doubt begins the link anew, too, as that of output that stands.
-        blocked = e.events('blocked')
-        ends = [(end, end) for _, end in e.stalls[0] + e.stalls[-1]]
-        excused |= overlaps(blocked, due, due + 0.3, 0.5) or any(
+        # Another doubt begins the link anew, too: that of output that stands, or a stall.
+        others = e.events('blocked') + [(end, end) for _, end in e.stalls[0] + e.stalls[-1]]
+        excused |= overlaps(others, due, due + 0.3, 0.5) or any(
             last <= each <= due + 0.3 for each in device.restorations)
         flushes = [each for each in device.flushes if due - SLACK <= each < end - SLACK
-                   and each not in device.restorations
-                   and not overlaps(blocked + ends, each, each, 0.5)]
+                   and each not in device.restorations and not overlaps(others, each, each, 0.5)]
         if following > due:
             yield not excused, '' if excused or len(flushes) == 1 and flushes[0] <= due + 0.3 else \
                 f'silent from {last:.3f} to {end:.3f}, flushed at {flushes}'
