@@ -463,7 +463,9 @@ def unheard_moves_are_not_late(e: Evidence) -> Verdicts:
         sent = [frame.time for frame in e.wrote
                 if frame.content == called.request]
         # One that a stop has ended is followed by the stop.
-        if len(sent) != 1 or called.ended < sent[0] + called.longest / 3 - SLACK or any(
+        stops = [frame for frame in e.wrote if frame.type == FUNCTION and frame.number == HALT
+                 and abs(frame.time - called.ended) < SLACK]
+        if len(sent) != 1 or stops or called.ended < sent[0] + called.longest / 3 - SLACK or any(
                 sent[0] <= each <= called.ended for each in reads):
             continue
         late = [frame.time for frame in e.got if frame.time > called.ended + 0.015
