@@ -38,7 +38,7 @@ fail() {
 }
 
 wrong_usage() {
-    printf '%s: %s\nTry: scripts/%s --help\n' "${0##*/}" "$*" "${0##*/}" >&2
+    printf '%s: %s\nTry: %s --help\n' "${0##*/}" "$*" "$0" >&2
     exit 2
 }
 

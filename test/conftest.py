@@ -32,9 +32,9 @@ def pytest_configure(config):
         config.pluginmanager.register(Progress())
 
 
+@pytest.hookimpl(tryfirst=True)     # before pytest-xdist reads the marks
 def pytest_collection_modifyitems(items):
-    """What needs one emulated board, or one master, runs in one worker of pytest-xdist."""
+    """What needs one emulated board, or one browser, runs in one worker of pytest-xdist."""
     for item in items:
-        part = item.nodeid.rpartition('test/')[2].split('/')[0]
-        if part in ('firmware', 'panel'):
+        for part in {'firmware', 'panel'}.intersection(item.nodeid.split('/')):
             item.add_marker(pytest.mark.xdist_group(part))

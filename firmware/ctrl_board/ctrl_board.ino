@@ -79,7 +79,7 @@ static BusResult environment() {
 // An example of custom functions, and the stop that this board always has. With `bus/announcements: true` the
 // bridge asks for their rows.
 static const char kRows[] PROGMEM =
-    "firmware: ctrl_board 1.3.0\n"
+    "firmware: ctrl_board 2.0.0\n"
     "pump: {cmd2: 0x30, srv_type: std_srvs/SetBool, request: {layout: '<?', fields: [data]}, timeout: 2.0}\n"
     "halt: {cmd2: 0x2F, srv_type: std_srvs/Trigger, repeatable: true, interrupts: true}\n"
     "tank: {cmd2: 0x32, ros_type: sensor_msgs/FluidPressure, period: 2.0, frame_id: tank,"

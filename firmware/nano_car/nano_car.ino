@@ -88,7 +88,7 @@ static void handle_led(const char* text) {
 #ifdef CUSTOM_MESSAGES
 // An example of custom messages, which the board announces: the bridge needs no rows for them.
 static const char kRows[] PROGMEM =
-    "firmware: nano_car 1.3.0\n"
+    "firmware: nano_car 2.0.0\n"
     "force: {type: 32, ros_type: std_msgs/Float32, layout: '<h', fields: [data], scale: 0.01,"
     " minimum: 0, maximum: 300}\n"
     "gripper: {type: 48, direction: to_board, ros_type: geometry_msgs/Vector3, layout: '<hB', fields: [x, z],"
@@ -114,7 +114,7 @@ static void handle_gripper(const Gripper& gripper) {
   analogWrite(kGripperPin, gripper.force > 0 ? (position + 1000L) * 255 / 2000 : 0);
 }
 #else
-static const char kRows[] PROGMEM = "firmware: nano_car 1.3.0\n" SETTINGS(SETTING_ROW);
+static const char kRows[] PROGMEM = "firmware: nano_car 2.0.0\n" SETTINGS(SETTING_ROW);
 #endif
 
 static void handle_calibration() {

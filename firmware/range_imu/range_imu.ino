@@ -22,7 +22,7 @@ static const uint32_t kRestartMs = 1000;
 
 SETTINGS(SETTING_VARIABLE)
 static constexpr Setting kSettings[] PROGMEM = {SETTINGS(SETTING_ENTRY)};
-static const char kRows[] PROGMEM = "firmware: range_imu 1.3.0\n" SETTINGS(SETTING_ROW);
+static const char kRows[] PROGMEM = "firmware: range_imu 2.0.0\n" SETTINGS(SETTING_ROW);
 
 static FrameLink bridge(Serial);
 static SensorStatus status = {{kRangeTimedOut, kRangeTimedOut}, 0, kAngleUnknown, kAngleUnknown};

@@ -9,7 +9,8 @@ PACKAGE = ROOT / 'serial_communication'
 def _with_interpreter(*names: str) -> List[Path]:
     """Programs without a suffix whose first line names one of these interpreters."""
     found = []
-    for path in sorted((ROOT / 'scripts').iterdir()) + sorted((ROOT / '.ci').iterdir()):
+    for path in sorted(path for folder in ('scripts', '.ci', 'test/bench', 'test/panel')
+                       for path in (ROOT / folder).iterdir()):
         if path.is_file() and not path.suffix:
             first = path.read_text().split('\n', 1)[0]
             if first.startswith('#!') and first.split('/')[-1].split()[-1] in names:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-SCRIPTS = Path(__file__).resolve().parents[2] / 'scripts'
-PROGRAMS = sorted(path.name for path in SCRIPTS.iterdir() if os.access(str(path), os.X_OK))
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAMS = {path.name: path for folder in ('scripts', 'test/bench', 'test/panel')
+            for path in (ROOT / folder).iterdir() if path.is_file() and os.access(path, os.X_OK)}
 OF_CHECKOUT = 'demo', 'pictures', 'test'
 OF_ROS = 'monitor', 'moves', 'panel', 'release', 'serial_communication_node'
 WRONG = '''
@@ -48,13 +49,13 @@ wire explain mcu 02 --dance
 
 def run(name, *arguments, **environment):
     """Run a program without a master, in a folder that is not writable."""
-    return subprocess.run([str(SCRIPTS / name), *arguments], text=True, timeout=60, cwd='/proc',
+    return subprocess.run([str(PROGRAMS[name]), *arguments], text=True, timeout=60, cwd='/proc',
                           stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                           stderr=subprocess.PIPE,
                           env={**os.environ, 'ROS_MASTER_URI': 'http://127.0.0.1:9', **environment})
 
 
-@pytest.mark.parametrize('name', PROGRAMS)
+@pytest.mark.parametrize('name', sorted(PROGRAMS))
 @pytest.mark.parametrize('option', ['-h', '--help'])
 def test_help_prints_the_usage(name, option, tmp_path):
     """Also where another python3, as of pyenv or conda, is first on the path."""

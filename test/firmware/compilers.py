@@ -6,8 +6,8 @@ from emulated_board import FIRMWARE
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 STUBS = os.path.join(HERE, 'stubs')
-LIBRARY = os.path.join(FIRMWARE, 'protocol')
-PROTOCOL = os.path.join(LIBRARY, 'src')
+LIBRARY = os.path.join(FIRMWARE, 'PacketLink')
+HEADERS = os.path.join(LIBRARY, 'src')
 CORE = '/usr/share/arduino/hardware/arduino/avr'
 STRICT = ['-Wall', '-Wextra', '-Werror']
 
@@ -38,7 +38,7 @@ def run(command, **options):
 
 def check(compiler, path, *options):
     """Check that a file compiles."""
-    status, output = run(compiler + ['-std=gnu++11', '-fsyntax-only', *STRICT, '-I', PROTOCOL,
+    status, output = run(compiler + ['-std=gnu++11', '-fsyntax-only', *STRICT, '-I', HEADERS,
                                      '-x', 'c++', *options, str(path)])
     assert status == 0, output
 
@@ -48,7 +48,7 @@ def program(path, *sources):
     status, output = run(
         ['g++', '-std=gnu++11', '-O0', '-funsigned-char', '-fsanitize=address,undefined',
          '-fno-sanitize-recover=all', '-DARDUINO_ARCH_ESP32', '-DARDUINO=10819', *STRICT,
-         '-I', PROTOCOL, '-I', os.path.join(STUBS, 'esp32'), '-include', 'Arduino.h',
+         '-I', HEADERS, '-I', os.path.join(STUBS, 'esp32'), '-include', 'Arduino.h',
          '-x', 'c++', *sources, '-o', str(path)])
     assert status == 0, output
     return str(path)

@@ -43,7 +43,7 @@ def assembled(chunks):
 def test_rows_are_valid(firmware_build, image, read_rows, read_settings):
     if image.startswith('sketches/'):
         status, output = run(['make', '-C', FIRMWARE, 'BUILD=' + firmware_build,
-                              f'SKETCH=protocol/examples/{image[9:]}',
+                              f'SKETCH=PacketLink/examples/{image[9:]}',
                               'LIBRARIES=../test/firmware/stubs/neopixel'])
         assert status == 0, output
     rows, settings = rows_of(text_of(firmware_build, image + '.elf'))

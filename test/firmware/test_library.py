@@ -288,7 +288,7 @@ def test_a_sketch_that_announces_nothing_sends_nothing(board, kind):
     compilers.on_the_avr(), compilers.ON_THE_ESP], ids=['PC', 'PC, unsigned char', 'AVR', 'ESP'])
 def test_headers(compiler, tmp_path):
     """All at once, in either order, so that none leans on another."""
-    headers = sorted(os.path.basename(path) for path in glob.glob(compilers.PROTOCOL + '/*.h')
+    headers = sorted(os.path.basename(path) for path in glob.glob(compilers.HEADERS + '/*.h')
                      if compiler[0] == 'avr-g++' or not os.path.basename(path).startswith('avr_'))
     for order in headers, headers[::-1]:
         (tmp_path / 'headers.cpp').write_text(''.join(map('#include <{}>\n'.format, order)))

@@ -13,6 +13,8 @@ ROWS = {'cmd_vel': {'type': 41, 'direction': 'to_board', 'ros_type': 'geometry_m
                     'layout': '<ff', 'fields': ['linear.x', 'angular.z']}}
 SETTINGS = {'kp': {'setting': 1, 'layout': '<f', 'minimum': 0, 'maximum': 10, 'unit': '1/s',
                    'description': 'proportional gain'}}
+FUNCTIONS = {'halt': {'cmd2': 0x2F, 'srv_type': 'std_srvs/Trigger', 'repeatable': True,
+                      'interrupts': True}}
 MESSAGES = DESCRIPTION.read('messages', ROWS)
 TWIST = MESSAGES[0].message
 
@@ -46,7 +48,7 @@ class Robot:
         """Start the bridge, and wait for its services."""
         self.bridge = Bridge(parameters={
             **{f'{name}/port': line.near for name, line in self.lines.items()},
-            'bus/environment_period': 0.2,
+            'bus/environment_period': 0.2, 'bus/functions': FUNCTIONS,
             'arduino/settings': SETTINGS, 'arduino/messages': ROWS})
         rospy.wait_for_service(NODE + '/calibrate_imu', PATIENCE)
 

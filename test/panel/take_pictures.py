@@ -1,4 +1,4 @@
-"""Makes the pictures of the documentation; scripts/pictures calls it with their folder.
+"""Makes the pictures of the documentation; `pictures` calls it with their folder.
 
 The boards are simulated or emulated.
 """

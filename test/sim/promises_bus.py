@@ -463,7 +463,9 @@ def unheard_moves_are_not_late(e: Evidence) -> Verdicts:
         sent = [frame.time for frame in e.wrote
                 if frame.content == called.request]
         # One that a stop has ended is followed by the stop.
-        if len(sent) != 1 or called.ended < sent[0] + called.longest / 3 - SLACK or any(
+        stops = [frame for frame in e.wrote if frame.type == FUNCTION and frame.number == HALT
+                 and abs(frame.time - called.ended) < SLACK]
+        if len(sent) != 1 or stops or called.ended < sent[0] + called.longest / 3 - SLACK or any(
                 sent[0] <= each <= called.ended for each in reads):
             continue
         late = [frame.time for frame in e.got if frame.time > called.ended + 0.015
@@ -501,7 +503,8 @@ def a_lost_synchronisation_is_restored(e: Evidence) -> Verdicts:
         closed = e.opening_of(frame.time)[1]
         excused = following is None or following.time > closed or not before \
             or before[-1].type == SYNC or overlaps(
-                e.stalls[0], frame.begun, frame.time, FRESH + 0.1)
+                e.stalls[0], frame.begun, frame.time, FRESH + 0.1) \
+            or e.story.parameters['echo'] and not e.story.echoes    # an ECHO times out first
         yield not excused, '' if excused or following.type == SYNC else \
             f'type {following.type} {following.number} at {following.time:.3f} after 0x10'
 

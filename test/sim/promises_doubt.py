@@ -162,7 +162,8 @@ def a_doubt_is_fenced(e: Evidence) -> Verdicts:
 def a_doubt_is_told(e: Evidence) -> Verdicts:
     """A stall, and settings that another program changed, are told by a line."""
     lines = [time for time, level, _ in e.story.robot.said if level >= logging.WARNING]
-    doubts = list(_stalls(e)) + [(each, each) for each in e.story.device.restorations]
+    doubts = list(_stalls(e)) + [
+        (each, each) for each in e.story.device.restorations if not _calibrates(e, each)]
     for begin, end in doubts:
         excused = any(begin - _LINES < each < begin for each in lines) or \
             end + 1.3 > (e.story.ended or end)
@@ -293,14 +294,12 @@ def a_silent_pty_is_doubted(e: Evidence) -> Verdicts:
         excused = end < due + 0.3 or overlaps(
             e.stalls[0], last, due + 0.3, 0.2) or any(
             time < due + 0.3 for time, _ in e.story.robot.calibrating)
-        # Another doubt begins the link anew, too, as that of output that stands.
-        blocked = e.events('blocked')
-        ends = [(end, end) for _, end in e.stalls[0] + e.stalls[-1]]
-        excused |= overlaps(blocked, due, due + 0.3, 0.5) or any(
+        # Another doubt begins the link anew, too: that of output that stands, or a stall.
+        others = e.events('blocked') + [(end, end) for _, end in e.stalls[0] + e.stalls[-1]]
+        excused |= overlaps(others, due, due + 0.3, 0.5) or any(
             last <= each <= due + 0.3 for each in device.restorations)
         flushes = [each for each in device.flushes if due - SLACK <= each < end - SLACK
-                   and each not in device.restorations
-                   and not overlaps(blocked + ends, each, each, 0.5)]
+                   and each not in device.restorations and not overlaps(others, each, each, 0.5)]
         if following > due:
             yield not excused, '' if excused or len(flushes) == 1 and flushes[0] <= due + 0.3 else \
                 f'silent from {last:.3f} to {end:.3f}, flushed at {flushes}'

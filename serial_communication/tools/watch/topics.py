@@ -20,6 +20,8 @@ SERIAL_MSG = 'serial_msg'
 _OF_ALL_NODES = '/clock', '/diagnostics', '/rosout', '/tf', '/tf_static'
 _SETTINGS = '~settings/'      # of dynamic_reconfigure; /diagnostics has the values
 _MOST_ITEMS = 16     # of an array that are shown
+_UNITS = {'last_frame_age_sec': ('s', 2), 'vl53_1': ('mm', 0), 'vl53_2': ('mm', 0),
+          'yaw': ('deg', 1), 'pitch': ('deg', 1), 'roll': ('deg', 1)}      # and digits: of a status
 
 
 class FieldValue(NamedTuple):
@@ -236,7 +238,8 @@ def _imu(message: Any) -> List[FieldValue]:
 
 def _status(message: Any) -> List[FieldValue]:
     """The measurements in a status of the sensor board, and whether they are valid."""
-    return [each for each in leaves('', message)
+    return [FieldValue(each.name, math.nan if each.name[:4] == 'vl53' and each.value == 65535
+                       else each.value, *_UNITS.get(each.name, ())) for each in leaves('', message)
             if each.name not in ('stamp', 'seq', 'connected', 'crc_error_count')]
 
 

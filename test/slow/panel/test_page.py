@@ -6,11 +6,12 @@ import pytest
 import rospy
 from boards import again_if_stalled, until
 from panel_browser import Browser
-from robot import NODE, Panel
+from robot import FUNCTIONS, NODE, Panel
 from std_srvs.srv import SetBool
 from test_smoke import choose, hold
 
 from serial_communication.boards.arduino import wire as arduino
+from serial_communication.boards.bus import wire as bus
 
 HOSTILE = '<img src=x onerror=document.title="pwned"><script>document.title="pwned"</script>'
 RIGHT, UP = ('ArrowRight', 39), ('ArrowUp', 38)
@@ -189,6 +190,22 @@ def test_a_setting_is_sent_by_its_slider_always_the_last_value(page, robot):
     page.wait(lambda page: page.text('.answers').count('kp') >= 2, 'two answers: first and last')
     page.wait(lambda page: rospy.get_param(NODE + '/settings/arduino/kp', 0) == 4.5,
               'the last value is wanted')
+
+
+def test_halt_interrupts_a_lift_and_both_outcomes_are_shown(page, robot):
+    page.wait(lambda page: page.all('[data-form="~lift"] button:enabled'), 'it may be called')
+    robot.bus.forget()
+    robot.bus.rule = lambda request: b'' if request.cmd2 == bus.LIFT else None     # it moves on
+    try:
+        page.click('[data-form="~lift"] button')
+        until(lambda: robot.bus.asked(bus.LIFT) == [bytes((0, 20))], 'the board moves its lift')
+        page.wait(lambda page: 'lift 20 mm ▲ up under way' in page.text('.answers'), 'it is shown')
+        page.click('[data-form="~halt"] button')
+        page.wait(lambda page: 'halt done: halt' in page.text('.answers')
+                  and 'up not known: halt was sent' in page.text('.answers'), 'both outcomes')
+    finally:
+        robot.bus.rule = lambda request: None
+    assert len(robot.bus.asked(bus.LIFT)) == 1 and robot.bus.asked(FUNCTIONS['halt']['cmd2'])
 
 
 # -- outages and others -----------------------------------------------------------------------

@@ -4,6 +4,7 @@ from types import SimpleNamespace as Message
 import pytest
 
 from serial_communication.boards import BOARDS, description
+from serial_communication.msg import McuStatus2
 from serial_communication.srv import LiftResponse
 from serial_communication.tools.monitor import report
 from serial_communication.tools.watch import table, topics
@@ -51,6 +52,13 @@ def test_parameters_make_the_topics_of_custom_messages():
     assert [each.value for each in force.values(Message(data=1.5))] == [1.5]
     assert custom['mcu/wind'].words(
         Message(vector=Message(x=0.5, y=-1.25))) == 'vector.x 0.5, vector.y -1.25'
+
+
+def test_a_status_of_the_sensor_board_has_units_and_no_value_of_a_range_that_timed_out():
+    status = McuStatus2(vl53_1=65535, vl53_2=420, yaw=12.34)
+    assert BridgeTopic('mcu/status', status._type).words(status) == (
+        'valid no, last_frame_age_sec 0.00 s, vl53_1 no value, vl53_2 420 mm, yaw 12.3 deg, '
+        'pitch 0.0 deg, roll 0.0 deg')
 
 
 # -- ages ----------------------------------------------------------------------------------------

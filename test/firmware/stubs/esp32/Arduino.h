@@ -15,9 +15,8 @@
 #define INPUT_PULLUP 5
 #define OUTPUT_OPEN_DRAIN 0x13
 typedef bool boolean;
-#define LED_BUILTIN 2
 const uint8_t A0 = 36;
-const uint8_t A1 = 37;
+const uint8_t A3 = 39;
 
 unsigned long millis();
 unsigned long micros();

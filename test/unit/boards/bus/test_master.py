@@ -12,6 +12,7 @@ from serial_communication.framing.announcement import Assembly
 from serial_communication.framing.layout import Layout, Value
 from serial_communication.framing.stream import FRAMING, Frame, invalid_frame
 from serial_communication.link.outcome import NOT_SENT, TIMEOUT, Outcome
+from serial_communication.link.session import Packet
 from serial_communication.link.sparing_log import SparingLog
 from serial_communication.simulation.announcing import chunks_of
 
@@ -80,6 +81,15 @@ def test_without_echo_an_ok_with_data_is_the_reply_to_another_request():
     assert master.sent[-1] == lift(0, 100) and call.outcome is None
     master.reply(bus.Reply(bus.OK))
     assert call.outcome.success
+
+
+def test_a_move_that_was_not_written_ends_at_once_and_the_next_one_is_sent():
+    master = Master()
+    call = master.call(lift(0, 100), bus.LIFT_FUNCTION)
+    master.not_sent(Packet(b'', *master.sent[-1], master.sent[-1]), 'the port takes no data')
+    assert call.outcome == Outcome(NOT_SENT, 'the port takes no data; nothing was sent')
+    master.call(lift(0, 200), bus.LIFT_FUNCTION)
+    assert master.sent[-1] == lift(0, 200)
 
 
 @pytest.mark.parametrize('request_, function', [

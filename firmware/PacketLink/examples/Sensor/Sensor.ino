@@ -35,6 +35,6 @@ void loop() {
   bridge.send_sensor_status(status);
 
   Cliff cliff;
-  cliff.millimetres = analogRead(A1);
+  cliff.millimetres = analogRead(A3);
   bridge.send(0x20, cliff);
 }

@@ -1,7 +1,11 @@
 // Sends one value and takes one command, and announces both: `rostopic list` has light and lamp. Any AVR or ESP32.
-// Use bridge.log("text"), not Serial.print, which breaks the packet that follows. (HelloESP32: no LED_BUILTIN.)
+// Use bridge.log("text"), not Serial.print, which breaks the packet that follows.
 
 #include <PacketLink.h>
+
+#ifndef LED_BUILTIN  // most ESP32 boards have a LED at pin 2, without this name
+#define LED_BUILTIN 2
+#endif
 
 const char kRows[] PROGMEM =
     "firmware: hello 1.0\n"
