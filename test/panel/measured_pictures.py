@@ -4,6 +4,7 @@ import math
 import struct
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / part) for part in ('firmware', 'helpers')]
 
@@ -11,12 +12,12 @@ from by_definition import SETTING, arduino_packet  # noqa: E402
 from emulated_board import Booted, build_firmware  # noqa: E402
 from links import ArduinoLink  # noqa: E402
 from packets import HEARTBEAT, ODOM, WHEEL_SPEED, cmd_vel, target  # noqa: E402
-from steps import MemoryPort, Steps  # noqa: E402
+from simulation_bench import Bench  # noqa: E402
 
 from serial_communication.boards.arduino import wire  # noqa: E402
 from serial_communication.boards.arduino.simulator import ModelCar  # noqa: E402
 from serial_communication.simulation.faults import Faults, parse  # noqa: E402
-from serial_communication.simulation.line import SimulatedLine  # noqa: E402
+from serial_communication.transport.port import Port  # noqa: E402
 
 # Colors and widths of curves.
 RED, BLUE, BROWN = ('#d1495b', 2.5), ('#00798c', 2.5), ('#b08900', 2.5)
@@ -136,7 +137,7 @@ SECONDS, DRIFT, BATCH = 5.0, 300, 16     # DRIFT in ppm, BATCH in ms
 
 def stamps():
     """The picture of the stamps: an adapter that holds bytes, in simulated time."""
-    port, car, read, board = MemoryPort('pty'), ModelCar(), [], []
+    car, read, board = ModelCar(), [], []
     ticks = []      # the latest TIME
 
     def shown(_link, _direction, frame):
@@ -146,16 +147,16 @@ def stamps():
     def received(message, stamp):
         if isinstance(message, wire.Ticks):
             at = ticks[0] / (1e6 + DRIFT)       # s since the start of the board, `began`
-            read.append((at, (port.time - began - at) * 1e3))
+            read.append((at, (now - began - at) * 1e3))
             board.append((at, (stamp - began - at) * 1e3))
-    link = Steps(ArduinoLink, port=port, clock=lambda: port.time, on_message=received)
-    link.link.session.tap = shown
-    link.run(1.0)       # the port is open
-    began = port.time
-    line = SimulatedLine(car, port.give, faults=Faults(parse(f'drift={DRIFT} batch={BATCH}', car)))
-    line.start(began)
-    while port.time < began + SECONDS:
-        link.run(line.tick(port.time) - port.time)
+    link = ArduinoLink(Port('/dev/none'), on_message=received)
+    link.port._opened = SimpleNamespace(has_baud=False)
+    link.session.tap = shown
+    bench = Bench(car, None, faults=Faults(parse(f'drift={DRIFT} batch={BATCH}', car)))
+    began = bench.now
+    bench.run(SECONDS)
+    for now, data in bench.wire:
+        link.receiver.take(data, now, now)
     return plot(f'From the measurement to the stamp, 100 Hz behind a USB adapter that delivers '
                 f'every {BATCH} ms (simulated)', (880, 400), (range(6), 's'),
                 (range(0, 17, 4), 'ms'),

@@ -72,8 +72,6 @@ connection.addEventListener('update', ({detail: update}) => {
   wall = update.wall;
   model.take(update);
 });
-connection.addEventListener('refused',
-  ({detail: {key, words}}) => { if (key === 'drive') drive.refused(words); });
 setInterval(() => requestAnimationFrame(draw), NUMBERS);
 setInterval(() => requestAnimationFrame(() => {
   if (connection.alive) topics.drawPlots(connection.now() + wall);

@@ -1,9 +1,8 @@
 /**
  * A moving plot of some fields of a topic, by uPlot. Dragging over it zooms in, which also stops
- * it; a
- * double click, or the button of the page, lets it move again.
+ * it; a double click, or the button of the page, lets it move again.
  */
-import {colour, darkMode, formatNumber, h, setText} from './dom.js';
+import {colour, darkMode, formatNumber, h, setText, unitOf} from './dom.js';
 
 const SPAN = 60;        // s that are shown
 const LEAST = 60;       // px, of the height
@@ -17,6 +16,9 @@ const watcher = new IntersectionObserver((entries) => {
     : 'delete'](target);
 });
 
+/** The name of the vector or array that a field is part of; '' if it is none's. */
+export const wholeOf = ({name}) => name.match(/^(.*)(?:[. ][xyzw]|\[\d+\])$/)?.[1] ?? '';
+
 export class Plot {
   /** @param fields [{name, unit, digits, at}]: `at` is the column */
   constructor(topic, fields) {
@@ -24,9 +26,12 @@ export class Plot {
     this._fields = fields;
     this._kept = null;      // the data while it stands
     this._place = h('div', {class: 'plot', title: 'drag: zoom; double click: go on'});
-    this._words = h('span', {class: 'note'});
+    const whole = fields.length > 1 ? wholeOf(fields[0]) : '';
+    this._about = [whole, unitOf(fields[0].unit)].filter(Boolean).join(', ');
+    this._words = h('span', {class: 'note'}, this._about);
     const keys = fields.map(({name}, index) => {
-      const key = h('span', {class: 'key'}, fields.length > 1 ? name.split(/[. ]/).pop() : name);
+      const words = whole ? name.slice(whole.length).replace('.', '') : name;
+      const key = h('span', {class: 'key'}, words);
       key.style.setProperty('--key', `var(${COLOURS[index]})`);
       return key;
     });
@@ -63,7 +68,7 @@ export class Plot {
     const axis = {stroke: faint, grid, ticks: {show: false}, font: '11px system-ui, sans-serif'};
     this._plot = new uPlot({
       width: this._place.clientWidth, height: Math.max(LEAST, this._place.clientHeight),
-      legend: {show: false}, padding: [6, 8, 0, 0],
+      legend: {show: false}, padding: [6, 24, 0, 0],
       cursor: {drag: {x: true, y: false}, points: {size: 6}},
       scales: {y: {range: (_plot, low, high) => rangeOf(low, high, this._fields[0].digits ?? 3)}},
       axes: [{...axis, size: 18, space: 70, gap: 2, values: (_plot, ticks) =>
@@ -82,7 +87,7 @@ export class Plot {
   _point(index) {
     const values = (index ?? null) === null ? [] : this._fields.map(({digits}, at) =>
       formatNumber(this._plot.data[at + 1][index], digits));
-    setText(this._words, values.join(', ') || (this._kept ? 'stands' : ''));
+    setText(this._words, values.join(', ') || (this._kept ? 'stands' : this._about));
   }
 
   _resize() {

@@ -15,9 +15,9 @@ export class Car {
 
   draw(model, now) {
     const imu = model.topics.get(IMU), steering = model.topics.get(STEERING);
-    this.element.hidden = !imu || !steering;
     const angles = ['roll', 'pitch', 'yaw'].map((name) => imu?.value(name));
-    if (this.element.hidden || !angles.every(Number.isFinite)) return;
+    this.element.hidden = !steering || !angles.every(Number.isFinite);
+    if (this.element.hidden) return;
     setAttribute(this._canvas, 'data-state', imu.state(now));
     // More feedback is to the right.
     const steer = (1 - 2 * (steering.value('value') ?? FULL / 2) / FULL) * MOST;

@@ -58,9 +58,8 @@ export class Commands {
   stopTrouble(now) {
     const age = now - this._stop.at;
     const call = [...this._model.calls.values()].find(({key}) => key === this._stop.key);
-    if (call?.outcome === 'done' || age > STOP_SHOWN && call?.outcome) return '';
+    if (call?.outcome === 'done' || age > STOP_SHOWN && (!call || call.outcome)) return '';
     if (call?.outcome) return `STOP: ${call.words}`;
-    if (age > STOP_SHOWN && !call) return '';
     if (!this._stop.sent && age < STOP_SHOWN) return 'STOP was not sent: no connection';
     return age < STOP_ANSWER ? ''
       : `STOP: no answer from the bridge for ${formatAge(age)}; zeros are sent`;

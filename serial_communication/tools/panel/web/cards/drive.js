@@ -113,9 +113,6 @@ export class Drive {
     setText(this._note, model.drives && this._connection.alive ? 'a page drives' : '');
   }
 
-  /** The panel refused a drive command. */
-  refused(words) { this._end(words); }
-
   _choose(chosen = this._chosen) {
     this._chosen = chosen;      // by a person, so it stays
     this._end('another motion was chosen');
@@ -166,6 +163,8 @@ export class Drive {
       if (document.hidden) this._end('the page was hidden');
     });
     this._connection.addEventListener('lost', () => this._end('the connection was lost'));
+    this._connection.addEventListener('refused',
+      ({detail: {key, words}}) => { if (key === 'drive') this._end(words); });
   }
 
   _point(event) {

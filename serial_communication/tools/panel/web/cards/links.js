@@ -9,7 +9,7 @@ class LinkCard {
     this._sign = h('span', {class: 'sign', 'aria-hidden': 'true'}, '?');
     this._summary = h('p', {class: 'summary'});
     this._port = h('p', {class: 'note port'});
-    this._errors = h('p', {class: 'errors'});
+    this._errors = h('p', {class: 'note'});
     this._age = h('p', {class: 'note'});
     this._all = h('tbody');
     this._details = h('details', {class: 'all'}, h('summary', {}, 'all diagnostics'),

@@ -19,6 +19,6 @@ export class Log {
     this._drawn = lines[0];
     this._list.replaceChildren(...lines.map(([at, level, text]) =>
       h('li', {'data-level': LEVELS[level] ?? 'info'},
-      h('time', {}, timeOfDay(at + wall)), h('span', {}, text))));
+      h('time', {class: 'note'}, timeOfDay(at + wall)), h('span', {}, text))));
   }
 }

@@ -1,13 +1,12 @@
 /** A card for each topic, by its fields: numbers, plots, and bars where a field has limits. */
 import {card, formatAge, formatNumber, h, setAttribute, setText, unitOf} from '../dom.js';
-import {MOST_CURVES, Plot} from '../plot.js';
+import {MOST_CURVES, Plot, wholeOf} from '../plot.js';
 
 const MOST_PLOTS = 3;       // of a topic
 
 /** Fields with this in common share a plot: a unit, or being parts of one vector or array. */
-function axisOf({name, unit}) {
-  const part = name.match(/^(.*)[. ][xyzw]$|^(.*)\[\d+\]$/);
-  return part ? `of ${part[1] ?? part[2]}` : unit ? `unit ${unit}` : name;
+function axisOf(field) {
+  return wholeOf(field) ? `of ${wholeOf(field)}` : field.unit ? `unit ${field.unit}` : field.name;
 }
 
 const hasLimits = ({low, high}) => low !== null && high !== null && low < high;
@@ -22,7 +21,8 @@ class Reading {
     const bar = hasLimits(field) ? [h('div', {class: 'bar'}, this._fill)] : [];
     this.element = h('div',
       {class: bar.length ? 'reading wide' : 'reading', 'data-reading': field.name},
-      h('span', {class: 'label', title: field.name}, field.name.split('.').slice(-2).join('.')),
+      h('span', {class: 'label', title: field.name},
+        field.name.split('.').slice(-2).join('.').replace(/_/g, '_\u200b')),
       h('span', {class: 'value'}, this._number, h('span', {class: 'unit'}, unitOf(field.unit))),
         ...bar);
   }
@@ -30,11 +30,11 @@ class Reading {
   draw(value) {
     const {digits, low, high} = this._field;
     setText(this._number, formatNumber(value, digits));
+    setAttribute(this.element, 'data-text', typeof value === 'string');
     if (!hasLimits(this._field)) return;
     const part = Number.isNaN(value) ? 0 : Math.min(1, Math.max(0, (value - low) / (high - low)));
     const width = `${(part * 100).toFixed(0)}%`;
     if (this._fill.style.width !== width) this._fill.style.width = width;
-    setAttribute(this._fill, 'data-beyond', value === Infinity || null);
   }
 }
 
@@ -46,7 +46,7 @@ class TopicCard {
     this._readings = [];    // [topic, index of the field, Reading]
     this.plots = [];
     this._age = h('span', {class: 'age'});
-    this._body = h('div', {class: 'topic'}, h('p', {class: 'note'}, 'no message received yet'));
+    this._body = h('div', {class: 'topic'});
     this.element = card(topic.name, topic.type, this._body);
     this.element.dataset.topic = topic.name;
     this.element.querySelector('header').append(this._age);
@@ -54,6 +54,7 @@ class TopicCard {
 
   draw(parts, now) {
     const {topic} = this, all = [topic, ...parts].filter((each) => each.values.length);
+    this.element.hidden = !topic.values.length;
     const shape = JSON.stringify(all.map((each) => [each.name, each.fields]));
     if (topic.values.length && shape !== this._shape) {
       this._shape = shape;
@@ -69,8 +70,9 @@ class TopicCard {
     const axes = new Map(), {topic} = this, names = new Set();
     topic.fields.forEach((field, index) => {
       if (typeof topic.values[index] === 'string') return;
-      const axis = axisOf(field), fields = axes.get(axis) ?? axes.set(axis, []).get(axis);
-      if (fields.length < MOST_CURVES) fields.push({...field, at: index + 1});
+      let axis = axisOf(field);
+      while (axes.get(axis)?.length === MOST_CURVES) axis += ' more';
+      (axes.get(axis) ?? axes.set(axis, []).get(axis)).push({...field, at: index + 1});
     });
     this._readings = all.flatMap((from) => from.fields.map((field, index) => {
       const name = from === topic || field.name !== 'data' ? field.name
@@ -84,10 +86,12 @@ class TopicCard {
   }
 }
 
-/** The cards of all topics of the bridge. */
+/** The cards of all topics of the bridge, and the names of those without a message. */
 export class Topics {
   constructor(place) {
     this._place = place;
+    this._silent = h('p', {class: 'note'});
+    place.after(this._silent);
     this._cards = new Map();
     this.held = false;      // whether the plots stand
   }
@@ -119,6 +123,8 @@ export class Topics {
         this._cards.delete(name);
       }
     }
+    const silent = [...parts.keys()].filter((name) => this._cards.get(name).element.hidden);
+    setText(this._silent, silent.length ? `no message yet: ${silent.join(', ')}` : '');
   }
 
   /** Draw the plots until `end`, a time of the day in s. */

@@ -2,17 +2,15 @@
 import {h} from '../dom.js';
 
 const SHOWN = 16;           // frames
-const REDRAW = 0.25;        // s; nobody reads faster
 
 const timeOf = (stamp) => new Date(stamp * 1000).toISOString().slice(11, 23);
 
 export class Wire {
   constructor(connection) {
-    this._drawn = 0;
     this._pause = h('input', {type: 'checkbox'});
     this._filter = h('input', {type: 'text', placeholder: 'words of a frame, as arduino SPEED',
-      'aria-label': 'show only frames with these words', oninput: () => { this._drawn = 0; }});
-    this._hide = h('input', {type: 'checkbox', checked: true, oninput: () => { this._drawn = 0; }});
+      'aria-label': 'show only frames with these words'});
+    this._hide = h('input', {type: 'checkbox', checked: true});
     this._list = h('ol', {class: 'frames', 'aria-label': 'frames, the newest first'});
     this.element = h('details',
       {class: 'card wire', ontoggle: () => connection.send({wire: this.element.open})},
@@ -26,11 +24,8 @@ export class Wire {
     });
   }
 
-  draw(model, now) {
-    const frames = model.frames;
-    if (!this.element.open || now - this._drawn < REDRAW && now >= this._drawn) return;
-    this._drawn = now;
-    if (this._pause.checked || this._list.matches(':hover')) return;
+  draw({frames}) {
+    if (!this.element.open || this._pause.checked || this._list.matches(':hover')) return;
     const words = this._filter.value.toLowerCase().split(' ').filter(Boolean);
     const shown = [];
     for (let index = frames.length - 1; index >= 0 && shown.length < SHOWN; index--) {
