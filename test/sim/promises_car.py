@@ -360,7 +360,7 @@ def calibrations_end(e: Evidence) -> Verdicts:
         times = [begun, *sorted({frame.time for frame in imu if start < frame.time <= end})]
         # Of those that may have been dropped after a stall either may count.
         sure = [each for each in times[:-1] if not overlaps(stalls, each, each, FRESH + 0.1)]
-        stalled = sum(min(high, end) - low for low, high in stalls
+        stalled = sum(min(high, end) - low for low, high in longer(e.stalls[0], 0.5)
                       if sure and sure[-1] <= low < end - 0.5)
         silent = len(times) > 1 and times[-1] > end - 0.01 and (
             not sure or times[-1] - sure[-1] - stalled >= 2.0 - SLACK)
