@@ -255,8 +255,8 @@ def stale_bytes_are_counted(e: Evidence) -> Verdicts:
 
 def conditions_are_true(e: Evidence) -> Verdicts:
     """`condition` is closed, lent, stopped, calibrating, silent or ok, as it is."""
-    story = e.story
-    changes = [(asked, until) for asked, until, _, _ in story.tasks]
+    story, device = e.story, e.story.device
+    changes = [task[:2] for task in story.tasks] + [(at - SLACK, at) for at in device.closings]
     for time, report in story.reports:
         name = report['condition']
         opened, closed = e.opening_of(time)
