@@ -4,7 +4,6 @@ import math
 import struct
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[1] / part) for part in ('firmware', 'helpers')]
 
@@ -150,7 +149,6 @@ def stamps():
             read.append((at, (now - began - at) * 1e3))
             board.append((at, (stamp - began - at) * 1e3))
     link = ArduinoLink(Port('/dev/none'), on_message=received)
-    link.port._opened = SimpleNamespace(has_baud=False)
     link.session.tap = shown
     bench = Bench(car, None, faults=Faults(parse(f'drift={DRIFT} batch={BATCH}', car)))
     began = bench.now
