@@ -60,7 +60,7 @@ class Assembly:
         self.confirmed = False     # a chunk of it was received since the port was opened
         self._crc = -1             # of the text
         self._key: Optional[_Key] = None     # of the text; None: not assembled since then
-        self._begun: Optional[_Key] = None   # of the text that is being assembled
+        self.begun: Optional[_Key] = None    # of the text that is being assembled
         self._pieces: Dict[int, bytes] = {}  # its chunks' texts so far, by index
 
     @property
@@ -70,7 +70,7 @@ class Assembly:
 
     def reset(self) -> None:
         """The port was closed: forget all chunks, but not the text."""
-        self._key = self._begun = None
+        self._key = self.begun = None
         self.confirmed = False
 
     def add(self, chunk: Chunk) -> Optional[bytes]:
@@ -79,8 +79,8 @@ class Assembly:
         self.confirmed |= chunk.crc == self._crc
         if key == self._key or chunk.implausible():
             return None     # if it differs from the text's chunk, it is damaged
-        if key != self._begun:
-            self._begun, self._pieces = key, {}
+        if key != self.begun:
+            self.begun, self._pieces = key, {}
         self._pieces[chunk.index] = chunk.text
         text = b''.join(self._pieces[index] for index in sorted(self._pieces))
         if len(self._pieces) < chunk.count or crc_of(text) != chunk.crc:

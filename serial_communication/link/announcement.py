@@ -4,6 +4,8 @@ from typing import Any, Callable, List, Optional
 from ..framing.announcement import Assembly, Chunk
 from .sparing_log import SparingLog
 
+_BEGINS, _ENDS = 5.0, 20.0     # s after the opening: by then an announcement has begun, has ended
+
 
 class BoardAnnouncement:
     """The announcement of one board, as far as its link knows it.
@@ -33,9 +35,10 @@ class BoardAnnouncement:
         """The rows of this text are in use from now on; any thread may call this."""
         self.firmware, self.rows, self._in_use = firmware, rows, text
 
-    def reset(self) -> None:
-        """The board may be another one now."""
-        self.assembly.reset()
+    def may_announce(self, age: float) -> bool:
+        """Whether the board may yet announce a type that is unknown `age` s after the opening."""
+        limit = _ENDS if self.assembly.begun and not self.is_current else _BEGINS
+        return self.on_text is not None and age < limit
 
     @property
     def is_current(self) -> bool:

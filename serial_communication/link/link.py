@@ -256,7 +256,7 @@ class Link:
             self.port.drain(_LEAVES)
         with self.session.lock:
             self.port.close()
-            self.session.announcement.reset()      # before any thread can write again
+            self.session.announcement.assembly.reset()      # before any thread can write again
             self.session.end(self.reopening.trouble, self.now())
         self.lending.closed.set()
 

@@ -6,8 +6,6 @@ from ..framing.stream import UNKNOWN, Frame, FrameTimer, stamped
 from .session import RX, Session
 from .stamps import Read, Stamps
 
-_ANNOUNCING = 5.0              # s after the opening in which a board announces what it sends
-
 
 class Receiver:
     """Decodes, counts, logs, stamps and passes on what one link receives; in its thread."""
@@ -54,9 +52,8 @@ class Receiver:
         session, read = self._session, frame.stamp
         shown = session.shown(stamped(frame, read.stamp)) if session.tap else None
         frame = stamped(frame, self.stamps.of(frame, read))
-        # The board may still announce a type that is unknown now.
-        if frame.cause and (frame.cause != UNKNOWN or session.announcement.on_text is None
-                            or now >= session.presence.opened_at + _ANNOUNCING):
+        if frame.cause and (frame.cause != UNKNOWN or not session.announcement.may_announce(
+                now - session.presence.opened_at)):
             session.errors[frame.cause] += 1
             session.log.warn(frame.cause, f'{frame.trouble}: {frame.raw[:24].hex()}')
         if frame.cause:

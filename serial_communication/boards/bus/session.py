@@ -99,7 +99,7 @@ class MasterSession(Session):
             if event is Event.LOST and channel.unanswered[Kind.ECHO] >= TRIES:
                 event = Event.OTHER     # SYNC and ECHO do not alternate faster than ECHOs time out
             if event is Event.LOST or event is Event.ANSWER and reply.cmd1 == wire.SYNC:
-                self.announcement.reset()     # rule 12
+                self.announcement.assembly.reset()     # rule 12
                 if self._reader:
                     self._reader.begin(now)
             call = channel.happened(event, now, f'received {reply}, no reply to '

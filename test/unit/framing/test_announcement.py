@@ -4,9 +4,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from links import ArduinoLink
+from serial_communication.boards.arduino.wire import encode_raw
 from serial_communication.framing.announcement import (LONGEST, Assembly, Chunk, crc_of,
                                                        read_announcement)
 from serial_communication.simulation.announcing import chunks_of, write_announcement
+from serial_communication.transport.port import Port
 
 TEXT = (b'firmware: nano_car 1.1.0\n'
         b'force: {type: 32, ros_type: std_msgs/Float32, layout: "<h", fields: [data]}\n')
@@ -18,13 +21,8 @@ def taken(assembly, chunks):
     return [text for text in map(assembly.add, chunks) if text is not None]
 
 
-def test_the_crc_is_ccitt_false():
-    assert crc_of(b'123456789') == 0x29B1      # the check value of its definition
-    assert crc_of(b'') == 0xFFFF
-
-
 def test_a_chunk_has_an_index_a_count_the_crc_in_little_endian_and_text():
-    first, second = chunks_of(b'123456789', 5)
+    first, second = chunks_of(b'123456789', 5)     # the check value of CRC-16/CCITT-FALSE
     assert first.pack() == b'\x00\x02\xb1\x29' + b'12345'
     assert second.pack() == b'\x01\x02\xb1\x29' + b'6789'
     assert Chunk.unpack(second.pack()) == second and Chunk.TYPE == 255
@@ -79,14 +77,16 @@ def test_a_chunk_of_the_known_text_confirms_it_after_the_port_was_opened():
     assert assembly.confirmed
 
 
-def test_a_text_with_the_same_crc_is_noticed_after_the_port_was_opened():
-    target = crc_of(b'a: {}')
-    twin = next(text for text in (b'b%d' % number for number in range(10 ** 6))
-                if crc_of(text) == target)
-    assembly = Assembly()
-    assert taken(assembly, chunks_of(b'a: {}', 20)) == [b'a: {}']
-    assembly.reset()
-    assert taken(assembly, chunks_of(twin, 20)) == [twin]
+@pytest.mark.parametrize('received, end', [(0, 5.0), (1, 20.0), (9, 5.0)])
+def test_an_unknown_type_is_an_error_once_the_board_cannot_announce_it_any_more(received, end):
+    link = ArduinoLink(Port('/dev/none'))
+    board = link.session.announcement
+    board.on_text = lambda text: board.use(text, '', [])
+    for chunk in chunks_of(TEXT, 20)[:received]:
+        board.add(chunk)
+    for time, count in (0.0, 0), (end - 0.1, 0), (end, 1):
+        link.receiver.take(encode_raw(40, b''), None, time)
+        assert link.session.errors['unknown type'] == count
 
 
 def test_a_text_that_is_too_long_has_no_rows():
