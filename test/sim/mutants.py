@@ -88,7 +88,7 @@ MUTANTS: Dict[str, Mutant] = {
         'no stale value', 'link.link.Link', '_awake', lambda _method:
             lambda self, now: self.writer.fresh.awake('link', now) and ''),
     'an announcement is kept over an opening': Mutant(
-        'announced rows wait', 'link.announcement.BoardAnnouncement', 'reset', _nothing),
+        'announced rows wait', 'framing.announcement.Assembly', 'reset', _nothing),
     'values of an old announcement': Mutant(
         'values are of this board', 'link.announcement.BoardAnnouncement', 'holds_back',
         _returns(False)),
