@@ -11,7 +11,7 @@ from scenario import Called
 
 def calls_are_told_the_truth(e: Evidence) -> Verdicts:
     """Done: executed exactly once. Refused: not at all. Not known: at most once."""
-    executed = executed_by(e)
+    executed, refused = executed_by(e), {frame.time for frame in e.of_type(e.sent, INVALID)}
     sent_by = {}
     for called in e.story.calls:
         sent_by.setdefault(called.request, []).append(called)
@@ -19,11 +19,10 @@ def calls_are_told_the_truth(e: Evidence) -> Verdicts:
         if len(group) > 1 or group[0].repeatable:
             continue
         # The line may double a request; the bridge must not. What is doubled comes at one time.
-        came = {frame.time for frame in e.got if frame.content == request}
-        called, times = group[0], min(len(set(executed.get(request, ()))), len(came))
+        came = {frame.time for frame in e.got if frame.content == request} - refused
+        called, times = group[0], min(len(set(executed.get(request, ()))), max(len(came), 1))
         answer = told(called)
         if _may_take_another_reply(e, called):
-            yield 0, ''
             continue
         right = {'done': times == 1, 'refused': times == 0, 'answered': times <= 1,
                  'not known': times <= 1, 'nothing': times <= 1}[answer]

@@ -396,14 +396,15 @@ def wanted_settings_return(e: Evidence) -> Verdicts:
 
 def damage_does_not_bend_the_line(e: Evidence) -> Verdicts:
     """A damaged TIME makes no other stamp over 10 ms early."""
-    device = e.story.device
-    if e.story.drift is None or not any(device.damage_received) or e.kind != 'arduino':
+    if e.story.drift is None or not any(e.story.device.damage_received) or e.kind != 'arduino':
         return
     measured = {frame.data: frame.time for frame in e.of_type(e.sent, IMU)}
     times = {frame.data for frame in e.of_type(e.sent, TIME)}
     undamaged, is_damaged = {}, False      # Imus behind a TIME that was sent
     for frame in e.of_type(e.readable, IMU, TIME):
         if frame.type == TIME:
+            if is_damaged and frame.data not in times:
+                break       # two in a row may agree: then they confirm each other
             is_damaged = frame.data not in times
         elif frame.data in measured and not is_damaged:
             undamaged[struct.unpack('>11h', frame.data)] = measured[frame.data]
