@@ -346,7 +346,7 @@ def calibrations_end(e: Evidence) -> Verdicts:
     imu = [frame for frame in e.of_type(e.read, IMU)
            if len(frame.data) == 22 and not implausible(frame)]
     resets = [asked for asked, _, name, _ in e.story.tasks if name == 'reset']
-    stalls = longer(merged(e.stalls[0]), 0.5)
+    stalls = longer(merged(e.stalls[0]), STALL)
     for start, end in e.calibrations:
         is_over = end < float('inf')
         last = end if is_over else e.story.ended or e.story.world.time

@@ -184,10 +184,10 @@ def the_log_is_sparing(e: Evidence) -> Verdicts:
 
 def rows_outlive_doubts(e: Evidence) -> Verdicts:
     """While the port stays open, announced rows stay in use."""
-    story = e.story
     seen: Tuple = ()        # the opening and the board of which the rows were in use
-    for time, report in story.reports if story.announces else ():
-        since, rows = [each for each in story.boards if each[0] <= time][-1]
+    for time, report in e.story.reports if e.story.announces and not (      # else it may refuse to
+            e.kind == 'bus' and any(e.story.device.damage_sent)) else ():
+        since, rows = [each for each in e.story.boards if each[0] <= time][-1]
         now = e.opening_of(time), since
         if report.get('announced') == ', '.join(rows):
             seen = now
