@@ -69,7 +69,7 @@ class Assembly:
         return self._key is not None
 
     def reset(self) -> None:
-        """The port was closed: forget all chunks, but not the text."""
+        """The board may be another one now: forget all chunks, but not the text."""
         self._key = self.begun = None
         self.confirmed = False
 
